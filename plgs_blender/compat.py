@@ -37,7 +37,7 @@ def forget_selection(mesh: bpy.types.Mesh) -> None:
 
 
 def _clouds_by_nodes(counts: Sequence[int]) -> list[bpy.types.PointCloud]:
-    """Make point clouds with so many points each from mesh vertices with geometry nodes, in a temporary scene."""
+    """Make point clouds with ``counts`` points, from mesh vertices with geometry nodes, in a temporary scene."""
     scene, group = bpy.data.scenes.new("PLGS conversion"), new_geometry_group("PLGS conversion")
     objects: list[bpy.types.Object] = []
     try:

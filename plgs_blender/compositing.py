@@ -179,7 +179,7 @@ _SHOWING = ("Recolour", "Outline", "Isolate", "Hold out")  # controls of the gro
 
 
 def compositors_of(root: bpy.types.Collection) -> Iterator[tuple[bpy.types.Scene, bpy.types.NodeTree]]:
-    """The scenes with a lift's passes and their nodes, that of its frames first, unless the user removed nodes."""
+    """Yield the scenes with a lift's passes that still have our nodes, with these nodes; the frames' scene first."""
     found = []
     for scene in bpy.data.scenes:
         key, tree = key_of(scene, root[LIFT]) or "", compat.compositor_tree(scene)

@@ -42,7 +42,7 @@ def shown_meshes(root: bpy.types.Collection) -> list[bpy.types.Object]:
 
 def export_shown(root: bpy.types.Collection, scene: bpy.types.Scene, form: str, path: Path) -> int:
     """Write the meshes that are shown as "gltf" or "usd", named, with their pictures or colours, and return their
-    number. The scene is unchanged afterwards. Raises PlgsError, for example if there are none."""
+    number. The scene is unchanged afterwards. Raises PlgsError, for example if no mesh is shown."""
     meshes = shown_meshes(root)
     if not meshes:
         raise PlgsError("no-meshes", "shows no meshes", root.name, "Make them first: press Surface.")

@@ -29,8 +29,8 @@ def mark_timeline(
     cameras: Sequence[bpy.types.Object],
 ) -> list[int]:
     """Bind a marker to each frame's camera, at the number in the frame's name, and a last one to the overview, if any.
-    They replace this lift's earlier ones, and come after the scene's range if it has a user's camera. Returns the
-    frames of the timeline where they are."""
+    The markers replace this lift's earlier ones, and come after the scene's range if the scene has a user's camera.
+    Returns the markers' frames."""
     markers, ours = scene.timeline_markers, _originals(scene, root[LIFT])
     for marker in [m for m in markers if m.camera in ours]:
         markers.remove(marker)

@@ -23,8 +23,8 @@ right ones."""
 
 
 def reliability(probability: NDArray[np.floating], right: NDArray[np.floating]) -> Curve:
-    """Return the reliability curve of pixels [N] with a ``probability`` of being right, and whether they are (1 or 0).
-    By bin of probability, it has the count, the mean probability, and the fraction that is right."""
+    """Return the reliability curve of N pixels: for each bin of probability, the count, the mean probability and the
+    fraction that is right. ``probability`` [N] of being right; ``right`` [N], 1 or 0."""
     number = np.clip((probability * BINS).astype(np.int64), 0, BINS - 1)  # 1.0 belongs to the last bin
     count = np.bincount(number, minlength=BINS)
     return np.stack([count, *(np.bincount(number, each, BINS) / np.maximum(count, 1) for each in (probability, right))])

@@ -58,8 +58,8 @@ def fit_rows(
     normal: Array,
 ) -> None:  # fmt: skip
     """Fit a plane at each pixel of every ``workers``-th row, and fill ``position`` and ``normal``. ``inverse`` is the
-    inverse depth, for parallel rays the depth itself, taken from pixels ``step`` apart. ``lens`` float64 [4]: fx, fy,
-    cx, cy; ``pose`` float64 [4, 4], camera to world."""
+    inverse depth, or the depth if rays are parallel. A plane is fitted to pixels ``step`` apart. ``lens`` float64 [4]:
+    fx, fy, cx, cy; ``pose`` float64 [4, 4], camera to world."""
     height, width = inverse.shape
     for row in range(worker, height, workers):
         for column in range(width):
@@ -152,7 +152,7 @@ class Matte:
 class BakedView:
     """Everything that is written for a view, as ``camera`` sees it. ``previous`` and ``following`` are the cameras of
     the frames before and after, if known. ``guessed`` float32 [H, W] is the share of each pixel that no photo ever saw,
-    None if no objects were removed. ``normal`` float32 [3, H, W] is as in `Surface`, if depth does not give it."""
+    None if no objects were removed. ``normal`` float32 [3, H, W] is as in `Surface`, None if depth gives it."""
 
     camera: Camera
     layers: PanopticLayers

@@ -38,7 +38,8 @@ def panorama(camera: Camera, draw: Callable[[Camera], BakedView]) -> BakedView:
     """The equirectangular ``camera``'s view, made from what ``draw`` returns for perspective cameras at its place.
 
     Labels, their shares, mattes and normals are those of the nearest pixel, as ids cannot be averaged. Colour and
-    inverse depth are interpolated between four pixels; depth, the distance from the camera, only on one surface."""
+    inverse depth are interpolated between four pixels; depth (distance from the camera) only if they show one
+    surface."""
     x, y = (
         (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx,
         (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy,

@@ -89,7 +89,7 @@ def grid(plane: Plane, low: NDArray[np.float64], texel: float, shape: tuple[int,
 
 
 def closed(mask: Mask, radius: int) -> Mask:
-    """Return a mask with gaps up to twice the ``radius``, in texels, closed."""
+    """Close gaps in a mask that are at most twice the ``radius`` wide, in texels."""
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1,) * 2)
     wide = cv2.morphologyEx(np.pad(mask, radius + 1).astype(np.uint8), cv2.MORPH_CLOSE, kernel) > 0
     return np.asarray(wide[radius + 1 : -radius - 1, radius + 1 : -radius - 1])

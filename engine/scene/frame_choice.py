@@ -44,7 +44,7 @@ def choose_frames(scene: Scene, most: int, progress: Progress = unwatched) -> Sc
 
 
 def windows(frames: Sequence[Frame], most: int) -> list[NDArray[np.intp]]:
-    """Cut the frames into at most ``most`` windows, equal in time and motion. Returns each one's frame indices."""
+    """Cut the frames into at most ``most`` windows, equal in time and motion. Returns the frame indices of each."""
     poses = np.array([frame.camera.camera_to_world for frame in frames])
     gone = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
     cosine = np.einsum("nij,nij->n", poses[1:, :3, :3], poses[:-1, :3, :3]) / 2.0 - 0.5  # (trace - 1) / 2

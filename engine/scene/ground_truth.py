@@ -186,7 +186,7 @@ class GroundTruthReader:
 
 
 def read_label_pair(semantic: Path, instance: Path) -> GroundTruth:
-    """Read class ids and instance ids from two label images. Raises PlgsError for a bad file, or two sizes."""
+    """Read class ids and instance ids from two label images. Raises PlgsError for a bad file, or different sizes."""
     stored = GroundTruth(read_indices(semantic), read_indices(instance))
     if stored.semantic.shape != stored.instance.shape:
         raise PlgsError("other-size", "classes and instances differ in size", instance, "Make both the same size.")

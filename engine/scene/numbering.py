@@ -328,7 +328,7 @@ def _shown(source: MaskSource, choice: ClassChoice) -> _Shown:
 
 
 def _unknown(reading: _Reading, shown: _Shown, choice: ClassChoice) -> set[int]:
-    """Return the numbers in the masks that have no meaning in this reading, the user's rows of ``choice`` included."""
+    """Return the masks' numbers to which neither this reading nor the user's rows of ``choice`` give a meaning."""
     table = known_table(reading.table)
     known = {label.id for label in table.labels} | table.void | reading.source.void
     return {*shown.shares} - known - {row.id for row in choice.rows if row.id is not None}

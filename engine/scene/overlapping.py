@@ -101,7 +101,7 @@ class Detections:
 
 
 def open_detections(path: Path, masks: Path, sizes: Mapping[str, Size], progress: Progress = unwatched) -> Detections:
-    """Open the detections in ``path``, over ``masks``, for frames of these ``sizes``. Raises PlgsError without any."""
+    """Open the detections in ``path``, over ``masks``, for frames of these ``sizes``. Raises PlgsError for none."""
     folder = masks if masks.is_dir() else masks.parent
     if not path.exists():
         raise PlgsError("no-detections", "there are no detections", path, "Name a JSON file.", option="--detections")

@@ -65,7 +65,7 @@ def checked_ids(ids: NDArray[Any], path: Path) -> NDArray[Any]:
 
 def numbers_of_colours(paths: Sequence[Path], is_class: bool = False) -> dict[bytes, int] | None:
     """Number the colours of PNGs' palettes, 0 for black, if the palettes differ; else return None. Raises PlgsError if
-    colours cannot be ids: with ``is_class``, where an index is a class, or without black, or if some are grey."""
+    colours cannot be ids: if ``is_class`` (indices are classes), if black is missing, or if some are grey."""
     palettes = {path: palette for path in paths if (palette := palette_of(path))}
     longest = max(palettes.values(), key=len, default=b"")
     if all(longest.startswith(each) for each in palettes.values()):

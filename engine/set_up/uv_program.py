@@ -63,8 +63,8 @@ _DIVERTING = ("target", "prefix", "python", "system", "require-hashes")
 
 
 def variables(environ: Mapping[str, str], index_url: str = "") -> dict[str, str]:
-    """Return ``environ`` for uv, with the user's pip settings where uv has none. ``index_url`` replaces PyPI. It is not
-    a command-line argument, as its password would show in the list of processes."""
+    """Return ``environ`` for uv, with the user's pip settings where uv has none. ``index_url`` replaces PyPI. It is no
+    command-line argument, as the list of processes would show its password."""
     kept = {name: value for name, value in environ.items() if not _LEFT_OUT.match(name)}
     for setting, name in _OF_PIP.items():
         if value := _setting_of_pip(setting, environ):

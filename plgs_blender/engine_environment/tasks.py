@@ -58,7 +58,7 @@ class EngineStatus:
 
     @property
     def is_usable(self) -> bool:
-        """Whether the engine may be started: it was not found to be missing or broken, or is not checked yet."""
+        """Whether the engine may be started: true unless it was found to be missing or broken."""
         return self.state not in (EngineState.MISSING, EngineState.FAILED)
 
 

@@ -73,7 +73,7 @@ def apply_lit(root: bpy.types.Collection) -> None:
 
 
 def apply_catcher(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
-    """Make the lift's meshes shadow catchers, with a transparent background, or visible, as `catch_shadows` says."""
+    """Make the lift's meshes shadow catchers if `catch_shadows` is on, with a clear background, else visible."""
     catcher = catcher_material(OwnedDataBlocks(root[LIFT], scene), scene) if root.plgs.catch_shadows else None
     for key, ob in objects_by_key(root).items():
         if key.startswith("mesh:") and (catcher is not None or ob.is_shadow_catcher):

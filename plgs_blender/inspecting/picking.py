@@ -140,7 +140,7 @@ def drawn_under(
     mouse: tuple[float, float],
     space: bpy.types.SpaceView3D | None = None,
 ) -> Picked | None:
-    """Return what lifts draw at a pixel of a view, or None. What the `space` hides (None: the window) is left out."""
+    """Return what lifts draw at a pixel of a view, or None. What the `space` (None: the window) hides is left out."""
     parts = [(root, part) for root in roots for part in rays.parts_near(root, view, mouse, space)]
     first = rays.first_drawn([part for _, part in parts], mouse)
     return None if first is None else Picked(parts[first[0]][0], *first[1:])

@@ -160,7 +160,7 @@ _MSGBUS_OWNER = object()
 
 
 def selected_instance(root: bpy.types.Collection, active: bpy.types.Object | None) -> int:
-    """Return the instance whose box or mesh is active and selected; 0 if it is not of this lift."""
+    """Return the instance of this lift whose box or mesh is active and selected; 0 if there is no such instance."""
     if active is None or not instance_of(active) or active[LIFT] != root[LIFT]:
         return 0
     return instance_of(active) if active.select_get() else 0

@@ -99,7 +99,7 @@ def export(
     asked: bool = True,
 ) -> Export:
     """Start an export of a finished lift into the folder ``output``, of ``frames`` or of a file of ``cameras``.
-    ``shown_in`` and ``asked`` are as in `Export`. Raises PlgsError if one is running; OSError."""
+    ``shown_in`` and ``asked`` are as in `Export`. Raises PlgsError if an export is running; OSError."""
     if not asked or is_busy():
         registry.refuse_second(Export)
     registry.forget(Export.kind)

@@ -75,7 +75,7 @@ def fill_classes(masks: PLGS_PG_masks, listed: Mapping[str, Any]) -> None:
 
 
 def edited_classes(masks: PLGS_PG_masks) -> dict[str, Any]:
-    """Return the panel's classes as input for the engine's ``classes --write``. Raises PlgsError for a bad void."""
+    """Return the panel's classes as input for the engine's ``classes --write``. Raises PlgsError for bad void ids."""
     rows = [
         {"label": row.label, "name": row.name, "into": row.into or row.name, "is_thing": row.is_thing}
         for row in masks.classes
@@ -133,7 +133,7 @@ def read_classes(scene: bpy.types.Scene, table: str = OWN_TABLE) -> ClassListing
 
 
 def write_classes(scene: bpy.types.Scene) -> ClassWriting:
-    """Let an engine write the rows to classes.toml beside the masks. Raises PlgsError for a bad void or no engine."""
+    """Let an engine write the rows to classes.toml beside the masks. Raises PlgsError for bad void ids or no engine."""
     registry.refuse_second(ClassWriting)
     chosen = chosen_scene(scene.plgs)
     edited = json.dumps(edited_classes(scene.plgs_masks))

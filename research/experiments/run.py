@@ -113,7 +113,7 @@ def make_depth_maps(lift: Path, maps: Path) -> None:
 
 def results_without_a_lift(experiment: Experiment, errors: dict[str, PlgsError]) -> Iterator[Result]:
     """Yield results that need no lift, if rows ask for them. If a scene fails, its rows get the error as their reason,
-    and it is added to ``errors``."""
+    and the error is added to ``errors``."""
     wanted = experiment.rows.chosen(experiment.only)
     for scene in experiment.scenes:
         rows = [row for row in wanted if row.method and has_files(row, scene)]

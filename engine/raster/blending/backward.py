@@ -257,7 +257,7 @@ def blend_gaussian_backward(
     records: Array, at: int, member: int, patches: int, scratch: Array, own: int, lists: PatchLists
 ) -> Any:
     """Undo the blending of the Gaussian whose record is at records[at:], the batch's ``member``, on the patches in the
-    bit mask. Return its gradients as one vector, and add it to the patches' ``lists`` if they are wanted."""
+    bit mask. Return its gradients as one vector, and add the Gaussian to the patches' ``lists`` if they are wanted."""
     slope = v.broadcast_load(records, at + conventions.L11)
     red, green = v.broadcast_load(records, at + conventions.RED), v.broadcast_load(records, at + conventions.GREEN)
     blue, depth = v.broadcast_load(records, at + conventions.BLUE), v.broadcast_load(records, at + conventions.DEPTH)

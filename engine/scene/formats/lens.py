@@ -161,7 +161,7 @@ def _source_pixels(
     size: Size, lens: tuple[float, float, float, float], distortion: Distortion
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], float]:
     """For each pixel of the undistorted picture, its position in the distorted one, float32 [H, W] x and y with pixel
-    centres at integers, and the fraction of positions that lies inside that. ``lens``: fx, fy, cx, cy."""
+    centres at integers, and the fraction of positions inside the picture. ``lens``: fx, fy, cx, cy."""
     (width, height), (fx, fy, cx, cy) = size, lens
     across, down = (np.arange(width) + 0.5 - cx) / fx, (np.arange(height) + 0.5 - cy) / fy
     with np.errstate(all="ignore"):

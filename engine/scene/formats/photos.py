@@ -125,7 +125,7 @@ class Video:
         return width, height
 
     def count(self) -> int:
-        """The number of frames, from its header. Raises PlgsError if it cannot be opened or does not say."""
+        """The number of frames, from the video's header. Raises PlgsError if that is unreadable or lacks it."""
         import cv2
 
         (count,) = self._numbers(cv2.CAP_PROP_FRAME_COUNT)

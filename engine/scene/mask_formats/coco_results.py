@@ -247,7 +247,7 @@ def _polygon(values: Any, size: Size, context: str, path: Path) -> list[float]:
 
 
 def read_table(place: Path) -> DetectionTable:
-    """Read the detections in a file, or a folder with one, or one for each frame. Raises PlgsError for other files."""
+    """Read detections from a file, a folder with one file, or one with a file a frame. Raises PlgsError for others."""
     files = sorted(shown_files(place, "*.json")) if place.is_dir() else [place]
     if len(files) != 1:
         tables = [(path.stem, _table_of(path)) for path in files]

@@ -120,7 +120,7 @@ def segments_of_labels(labels: NDArray[np.integer]) -> FoundMask:
 
 def painted(masks: Iterable[NDArray[np.bool_]], segments: Sequence[FoundSegment], size: Size) -> FoundMask:
     """Paint ``masks``, bool [H, W], one per segment, over each other, so that the highest score, then the smallest
-    area, is on top. They are taken one at a time and kept packed, as a frame may have hundreds."""
+    area, is on top. Masks are taken one at a time and kept packed, as a frame may have hundreds."""
     ids = np.zeros(size[::-1], np.int32)
     packed = [(np.count_nonzero(mask), compress(np.packbits(mask).tobytes(), 1)) for mask in masks]
     for place in sorted(range(len(packed)), key=lambda place: (segments[place].score, -packed[place][0])):
