@@ -83,8 +83,8 @@ def leaving_points(views: Sequence[PlateView], points: NDArray[np.floating]) -> 
 def other_points(views: Sequence[PlateView], leaving: Leaving) -> Others:
     """Return what the photos show near the removed objects: points on anything else that are within AROUND of their box
     or beside their outlines, one in each cell of THINNED."""
-    low, high = leaving.low - AROUND, leaving.high + AROUND
-    parts = []
+    low, high, nowhere = leaving.low - AROUND, leaving.high + AROUND, np.zeros((0, 3))
+    parts = [(nowhere, np.zeros(0, np.int32), nowhere)]  # if there is no view
     for view in views:
         world = view.camera.unproject(view.depth)
         near = ((world > low) & (world < high)).all(axis=-1) | grown(

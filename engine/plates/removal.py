@@ -103,8 +103,7 @@ def fill_of(folder: LiftFolder, corrected: CorrectedResult, ids: Sequence[int], 
         what = "no point of the lift belongs to these objects"
         raise PlgsError("remove-no-points", what, folder.path, "Delete them instead.")
     room = _Room(baker, corrected, ids)
-    every = np.concatenate([*points.values()])
-    frames = frames_around(scene.train_frames, every.min(axis=0), every.max(axis=0))
+    frames = frames_around(scene.train_frames, np.concatenate([*points.values()]))
     views = list(read_views(frames, baker, ids, part_of(progress, 0.0, READ, 100)))
     groups, parts = _groups([*points.values()]), list[Fill]()
     for number, xyz in enumerate(groups):

@@ -20,7 +20,7 @@ WITHIN = (800, 800)
 """Photos are read at most this large."""
 GROWN = 2
 """Pixels by which an object's outline and a photo's black border are grown: their rims are not trusted."""
-_STEP = 8  # a frame sees a box if it sees one of this many points along each of its sides
+_STEP = 8  # points along each side of a box: a frame sees the box if it sees one of its points
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,11 +50,11 @@ def grown(mask: NDArray[np.bool_], by: int) -> NDArray[np.bool_]:
     return np.asarray(cv2.dilate(mask.astype(np.uint8), np.ones((2 * by + 1,) * 2, np.uint8)) > 0)
 
 
-def frames_around(frames: Sequence[Frame], low: NDArray[np.floating], high: NDArray[np.floating]) -> list[Frame]:
-    """Return the frames with depth whose picture shows the box from ``low`` [3] to ``high`` [3], hidden or not."""
-    sides = [np.linspace(*ends, _STEP) for ends in zip(low, high, strict=True)]
-    inside = np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 3)
-    return [frame for frame in frames if frame.read_depth is not None and len(frame.camera.seen(inside)[0])]
+def frames_around(frames: Sequence[Frame], xyz: NDArray[np.floating]) -> list[Frame]:
+    """Return the frames with depth whose picture shows a point of ``xyz`` [N, 3] or of their box, hidden or not."""
+    sides = [np.linspace(*ends, _STEP) for ends in zip(xyz.min(axis=0), xyz.max(axis=0), strict=True)]
+    shown = np.concatenate([xyz, np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 3)])
+    return [frame for frame in frames if frame.read_depth is not None and len(frame.camera.seen(shown)[0])]
 
 
 def read_views(

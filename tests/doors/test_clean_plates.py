@@ -21,9 +21,10 @@ from engine.job import LiftFolder, LiftRequest
 from engine.lift_arrays import Gaussians
 from engine.passes.exr import PanopticLayers, read_exr, read_note
 from engine.plates.completion import complete, completed_labels
-from engine.plates.leaving import Leaving
+from engine.plates.leaving import Leaving, other_points
 from engine.plates.planes import Plane
 from engine.plates.texture import Texture
+from engine.plates.views import frames_around
 from engine.scene import open_scene
 from tests import tiny_scene
 from tests.doors.terminal import ROOT, Terminal
@@ -197,6 +198,15 @@ def test_what_is_guessed_is_never_brighter_than_what_photos_saw() -> None:
     done = complete(wall, Leaving.of(np.full((9, 3), 5.0)), np.zeros((0, 3)))
     assert done is not None and done.hole.sum() > 2000
     assert 0.2 < done.colour[done.hole].min() and done.colour[done.hole].max() <= colour[:, :30].max()
+
+
+def test_a_photo_of_a_small_part_of_a_large_object_helps_to_remove_it(lifted: Path) -> None:
+    frame = open_scene(lifted / "scans/room").train_frames[0]
+    near = replace(frame, camera=replace(frame.camera, fx=40 * frame.camera.fx, fy=40 * frame.camera.fy))
+    part = near.camera.centre + 2 * near.camera.camera_to_world[:3, 2]
+    around = part + np.array([[-3.1, -3.3, -3.7], [2.9, 3.1, 3.3]])
+    assert frames_around([near], around) == [] and frames_around([near], np.vstack([around, part])) == [near]
+    assert not len(other_points([], Leaving.of(around)).xyz)
 
 
 def test_removing_an_object_removes_its_shadow(shadowed: list[Gaussians]) -> None:
