@@ -83,8 +83,8 @@ Position = tuple[float, float]
 @dataclass(eq=False)
 class Painting:
     """The state of painting points, which ends with Enter. ``xyz`` float32 [N, 3] are the lift's points, ``chosen``
-    bool [N] the painted ones. ``drag`` holds the mouse's positions since its button was pressed; ``mouse`` is its
-    current one. ``is_box``: the drag is a rectangle; ``is_eraser``: it removes points."""
+    bool [N] the painted ones; ``radius``: the brush's, in pixels. ``drag`` holds the mouse's positions since its button
+    was pressed; ``mouse`` is its current one. ``is_box``: the drag is a rectangle; ``is_eraser``: it removes."""
 
     xyz: NDArray[np.float32]
     chosen: NDArray[np.bool_]
@@ -194,8 +194,8 @@ def boxed(
 
 
 class EditByEngine(Task):
-    """An edit of a placed lift that needs the photos or the masks. The engine writes it to the lift's file; then it is
-    shown. ``step`` is the name of its undo step."""
+    """An edit of a placed lift that needs the photos or the masks. The engine writes the edit to the lift's file; then
+    Blender shows it. ``step`` names its undo step."""
 
     edit_kind, step = "", ""
 

@@ -27,7 +27,7 @@ _CLAIM_S = 10.0  # seconds to wait while another bake claims a shot
 class ShotSource:
     """What a shot shows: a ``camera`` of the file ``blend`` (unsaved: its Blender's temporary folder), and the
     fingerprints of the camera by names of ``frames``; the ``lift``'s name, the digest of its ``model`` and objects, its
-    ``corrections``, and the rate. Notes of version 0.1.0 end with ``frames``."""
+    ``corrections``, and the rate ``fps``. Notes of version 0.1.0 end with ``frames``."""
 
     blend: str
     camera: str

@@ -73,7 +73,8 @@ class BeliefNoise:
 
 @dataclass(frozen=True)
 class Sight:
-    """How a region appears in one view. ``key`` is the same in all views, ``place`` is in world metres."""
+    """How a region appears in one view: its ``area`` as a share of the picture, its ``place`` in world metres, and the
+    unit ``direction`` from the camera to it. ``key`` is the same in all views."""
 
     key: str
     class_name: str

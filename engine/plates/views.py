@@ -27,7 +27,7 @@ _STEP = 8  # points along each side of a box: a frame sees the box if it sees on
 class PlateView:
     """A photo near removed objects: ``colour`` float32 [H, W, 3] sRGB in [0, 1], as bright as the lift; ``depth``
     float32 [H, W] metres, 0 = none; ``label`` int32 [H, W], what the lift shows: an object's id, or minus the class;
-    ``leaves`` bool [H, W], the pixels of what is removed, and ``beside`` bool [H, W], those and GROWN pixels around."""
+    ``leaves`` bool [H, W], the pixels of what is removed, and ``beside`` bool [H, W], these and GROWN pixels around."""
 
     camera: Camera
     colour: NDArray[np.float32]

@@ -31,8 +31,9 @@ def inverse(pose: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A camera: intrinsics in pixels of a ``width`` x ``height`` picture, and the pose, a rigid float64 [4, 4] from
-    camera to world. ``fx`` and ``fy`` are focal lengths in pixels in a perspective picture, as all frames are; pixels
+    """A camera: intrinsics in pixels of a ``width`` x ``height`` picture (``cx``, ``cy``: the principal point), and the
+    pose, a rigid float64 [4, 4] from camera to world. ``projection`` is "perspective", "orthographic" or
+    "equirectangular". ``fx`` and ``fy`` are focal lengths in pixels in a perspective picture, as all frames are; pixels
     per metre in an orthographic one; pixels per radian of longitude and latitude in an equirectangular one, whose depth
     is the distance from the camera, not planar."""
 

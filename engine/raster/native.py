@@ -30,7 +30,7 @@ from .rendering import GaussianSet, Rendering, Wanted
 @dataclass(frozen=True, eq=False)
 class ForwardState:
     """What the forward pass keeps for the backward pass. ``camera`` float64 [CAMERA]; ``records`` float32 [N, RECORD];
-    ``final`` and ``last`` float32 [H * W], as in ``Blended``."""
+    ``isects``, the tiles' lists; ``final`` and ``last`` float32 [H * W], as in ``Blended``."""
 
     camera: Array
     records: Array

@@ -135,7 +135,7 @@ class Evidence:
 
 @dataclass(frozen=True, eq=False)
 class GroundTruth:
-    """True class ids and instance ids (0 = stuff or none), int32 [H, W] each. Only metrics use it."""
+    """True class ids (``semantic``) and instance ids (``instance``, 0 = none), int32 [H, W]. Only metrics use it."""
 
     semantic: NDArray[np.int32]
     instance: NDArray[np.int32]

@@ -161,8 +161,8 @@ _FIX = "Correct it, or remove the ground truth: only the metrics need it."
 
 @dataclass(frozen=True)
 class GroundTruthReader:
-    """Reads one frame's ground truth. ``class_of`` maps the truth's class ids to the masks'; ids that ``class_of``
-    lacks become void. ``names`` are those of the truth's own table, if it has one."""
+    """Reads one frame's ground truth from two label images. ``class_of`` maps the truth's class ids to the masks'; ids
+    that ``class_of`` lacks become void. ``names`` are those of the truth's own table, if it has one."""
 
     semantic: Path
     instance: Path

@@ -32,8 +32,9 @@ _SCALES = (1e-4, 1e4)
 
 @dataclass(frozen=True)
 class MadeDepth:
-    """The note ``made_by.json`` about depth that a network made: the network's name (``model``) and ``licence``, the
-    number of ``frames``, and by name the digests of their ``photos`` and their `layout_of`."""
+    """The note ``made_by.json`` about depth that a network made: the network's name (``model``), ``licence`` and
+    whether that allows ``commercial_use``, the number of ``frames``, and by name the digests of their ``photos`` and
+    their `layout_of`."""
 
     model: str = field(metadata={"longest": 5000})
     frames: int

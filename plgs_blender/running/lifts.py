@@ -261,7 +261,8 @@ def bake(
     keep_running: bool = False,
 ) -> Lift:
     """Let an engine bake more passes of a finished lift: of frames ("test", "all", or names), or of the ``cameras`` in
-    a file, with these FURTHER_LAYERS. Others may bake it too. Raises PlgsError while our last bake ends; OSError."""
+    a file, with these FURTHER_LAYERS. Other Blenders may bake it, too. Raises PlgsError until this one's last bake has
+    ended; OSError."""
     known = lift_of(lift.path)
     if known is not None and known.is_running and known.follower.is_own:
         what, fix = "this Blender is already baking or lifting here", "Wait for it, or cancel it first."

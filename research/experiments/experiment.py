@@ -78,10 +78,10 @@ def _scene(text: str) -> SceneToLift:
 @dataclass(frozen=True)
 class Experiment:
     """Rows of the tables, on ``scenes``, lifted into ``folder``. ``only`` names the rows and tables to lift; () means
-    all. All lifts start from ``preset`` (a name, or a file) with ``steps`` and the options ``sets`` (name=value); all
-    scenes are read by ``scene_format``, ``mask_format`` and ``classes``, from at most ``frames``, with ``fit`` and
-    ``device``, as in a LiftRequest. ``masks`` and ``depth`` are paths in which {scene} stands for the scene's name.
-    ``only_finished``: nothing more is lifted."""
+    all. All lifts start from ``preset`` (a name, or a file) and each of ``seeds``, with ``steps`` and the options
+    ``sets`` (name=value); all scenes are read by ``scene_format``, ``mask_format`` and ``classes``, from at most
+    ``frames``, with ``fit`` and ``device``, as in a LiftRequest. ``masks`` and ``depth`` are paths in which {scene}
+    stands for the scene's name. ``only_finished``: nothing more is lifted."""
 
     scenes: tuple[SceneToLift, ...]
     folder: Path

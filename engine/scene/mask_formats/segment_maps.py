@@ -73,7 +73,7 @@ def _key_of(place: Path) -> str | None:
 
 
 def _segments_info(path: Path) -> list[dict[str, Any]]:
-    """Return a file's list of segments, the whole content or "segments_info" in it. Raises PlgsError if it has none."""
+    """Return a file's list of segments: its whole content, or "segments_info" in it. Raises PlgsError for no list."""
     data = read_file(path, LARGEST_TABLE)
     if data.lstrip().startswith(b"["):
         data = b'{"segments_info": ' + data + b"}"
