@@ -149,6 +149,6 @@ def leaving_gaussians(
     some = centres[rows]
     own = cKDTree(leaving.xyz[:: max(1, len(leaving.xyz) // MOST_POINTS)])
     near, _ = own.query(some, distance_upper_bound=NEAR, workers=-1)
-    is_near = np.isfinite(near) | ((some > low) & (some < high)).all(axis=1)
+    is_near = np.isfinite(near) | ((some > low - ON_SURFACE) & (some < high + ON_SURFACE)).all(axis=1)
     gone[rows] |= is_near & ((others.are_far_from(some) & (label[rows] <= 0)) | (share[rows] > TOUCHED))
     return gone
