@@ -275,8 +275,8 @@ def picture_of(frame: PosedFrame, made: Mapping[str, Path] | None = None) -> Pat
 
 
 def show_photo(ob: bpy.types.Object, owned: OwnedDataBlocks, picture: Path, *, asked: bool = False) -> None:
-    """Put a frame's photo in front of its camera's view: half transparent, to compare it with the scene; but opaque if
-    a user ``asked`` for it, until they ask again."""
+    """Put a frame's photo in front of its camera's view. If a user ``asked`` for it, it is opaque until they ask again;
+    otherwise it is half transparent, to compare it with the scene."""
     before = ob.data.background_images[0].alpha if ob.get(SHOWN) == PHOTO and ob.data.background_images else 0.0
     # Blender reads the pixels when somebody looks through the camera.
     load = bpy.data.images.load

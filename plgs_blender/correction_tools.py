@@ -84,7 +84,7 @@ Position = tuple[float, float]
 class Painting:
     """The state of painting points, which ends with Enter. ``xyz`` float32 [N, 3] are the lift's points, ``chosen``
     bool [N] the painted ones; ``radius``: the brush's, in pixels. ``drag`` holds the mouse's positions since its button
-    was pressed; ``mouse`` is its current one. ``is_box``: the drag is a rectangle; ``is_eraser``: it removes."""
+    was pressed; ``mouse`` is the current one. ``is_box``: a drag is a rectangle; ``is_eraser``: drags remove points."""
 
     xyz: NDArray[np.float32]
     chosen: NDArray[np.bool_]

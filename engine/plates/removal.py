@@ -147,7 +147,7 @@ class _Room:
         self.centres, self.share = centres[drawn].astype(np.float64), share[drawn]
 
     def without(self, views: Sequence[PlateView], points: NDArray[np.floating], progress: Progress) -> Fill:
-        """Return what replaces the objects whose points these [N, 3] are."""
+        """Return what replaces the objects that have these ``points`` [N, 3]."""
         leaving = leaving_points(views, points)
         others = other_points(views, leaving)
         progress(1, 10)

@@ -47,8 +47,8 @@ def evidence(kind: EvidenceKind, pixels: NDArray[np.floating], resolution: NDArr
 
 
 def resolution_on(camera: Camera, depth: NDArray[np.floating], mask_scale: float) -> NDArray[np.float32]:
-    """Return how many pixels of the frame's own mask lie on a centimetre of a surface at ``depth``, float32 [...] in
-    metres: float32 [...], 0 where there is no depth. ``mask_scale`` is that of ``View``."""
+    """Return how many pixels of the frame's own mask lie on a centimetre of a surface, float32 [...]; 0 for no depth.
+    ``depth`` float32 [...] is the surface's, in metres. ``mask_scale`` is that of ``View``."""
     focal = mask_scale * np.sqrt(camera.fx * camera.fy)  # the geometric mean keeps a pixel's area
     return np.divide(0.01 * focal, depth, out=np.zeros_like(depth), where=depth > 0).astype(np.float32)
 

@@ -140,7 +140,7 @@ def clone_split_prune(
     most: int,
 ) -> GrowthRound:
     """Do one round of 3DGS's densification; the statistics are reset to zero in place. ``extent`` is in metres. A small
-    Gaussian with a large gradient is cloned; a large one is replaced by two of 1/1.6 its size, at positions from it."""
+    Gaussian with a large gradient is cloned; a large one is replaced by two of 1/1.6 its size, drawn from it."""
     feature = anchors.feature.detach()
     gradient = (statistics.gradient / statistics.drawn.clamp_min(1)).squeeze(1)  # some were never drawn
     scale = torch.exp(SCALE_RATE * feature[:, SCALE])
