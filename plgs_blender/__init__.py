@@ -19,14 +19,14 @@ def _modules() -> tuple[ModuleType, ...]:
 
 
 def register() -> None:
-    """Register all modules when the extension is enabled, before operators and panels."""
+    """Register all modules: called first, before operators and panels, when the extension is enabled."""
     from .lifecycle import register_modules
 
     register_modules(_modules())
 
 
 def unregister() -> None:
-    """Unregister all modules when the extension is disabled, after operators and panels."""
+    """Unregister all modules: called last, after operators and panels, when the extension is disabled."""
     from .lifecycle import unregister_modules
 
     unregister_modules(_modules())

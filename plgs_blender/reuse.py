@@ -79,9 +79,9 @@ def leave_holes(root: bpy.types.Collection) -> None:
 
 
 def key_visibility(root: bpy.types.Collection, numbers: Sequence[int], scene: bpy.types.Scene) -> int:
-    """Key instances to be visible, in views and renders, only in the timeline's frames whose masks show them: their
-    extracted objects, else their boxes, which are never rendered, and their meshes. Returns the number of keyed
-    objects. Raises PlgsError if there are no frames."""
+    """Key instances to be visible, in views and renders, only in the timeline's frames whose masks show them. Keys go
+    to an instance's extracted objects or, without any, to its box (not rendered) and meshes. Returns the number of
+    keyed objects. Raises PlgsError at the first instance that no frame shows; those before it are keyed."""
     frame_of = {text_of(ob, "frame") or ob.name: frame for ob, frame in places_of(root, scene).items()}
     showing = {row.instance_id: {mask.frame for mask in row.masks} for row in root.plgs.instances}
     objects = {number: [box] for number, box in boxes_of(root).items()}

@@ -64,8 +64,8 @@ class ShotSource:
 
 @dataclass(frozen=True)
 class Claim:
-    """The note of a shot in a folder, and its text ``before`` ("": there was none) and after a bake began. ``made`` are
-    files and folders that the bake created. The frames ``left`` of a replaced shot still show its earlier state."""
+    """A bake's claim on a shot: the path of its note, the note's text ``before`` ("": there was none) and since then,
+    and the files and folders ``made`` by the bake. Frames ``left`` of a replaced shot still show its earlier state."""
 
     path: Path
     before: str

@@ -279,7 +279,7 @@ def _grown(pixels: Bools) -> Bools:
 
 
 def _draw(seen: list[Region], holes: Bools, noise: MaskNoise, random: np.random.Generator) -> Ids:
-    """Draw like a low-resolution network: coverage of coarse cells, read at displaced pixels; the largest one wins."""
+    """Draw as a low-resolution network would: ids are 1 + the index in ``seen``; 0 for ``holes`` and where unsure."""
     height, width = holes.shape
     shares = [_coarse(holes, noise.cell), *(_coarse(region.pixels, noise.cell) for region in seen)]
     bonuses = np.concatenate([[0.0], random.normal(size=len(seen)) * noise.bleed])

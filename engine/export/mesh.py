@@ -62,7 +62,7 @@ class Part:
     picture: NDArray[np.uint8] | None = None
 
     def with_seams(self) -> tuple[Part, NDArray[np.float32]]:
-        """Return the mesh with one texture coordinate per vertex, float32 [V, 2]; vertices at seams are duplicated."""
+        """Return the textured mesh with one texture coordinate per vertex, float32 [V, 2]; seams have two vertices."""
         assert self.uv is not None
         corners = np.ascontiguousarray(self.uv.reshape(-1, 2), np.float32)
         number, at = numbered(self.triangles.reshape(-1), corners.view(np.int64).ravel(), len(self.xyz))

@@ -152,7 +152,7 @@ class LiftFolder:
         return is_locked(self.events_path)
 
     def lock(self) -> FileLock:
-        """The engine's lock for ``with``, held while it writes. Raises PlgsError if another engine has it, OSError."""
+        """The engine's lock, held while it writes. ``with`` raises PlgsError if another engine has it, and OSError."""
         return FileLock(self.events_path)
 
     def refuse_foreign(self) -> None:

@@ -62,8 +62,8 @@ def start_options(keep_open: Sequence[int] = ()) -> dict[str, Any]:
 
 
 def kill_with_children(process: subprocess.Popen[bytes]) -> None:
-    """Kill a process that was started with `start_options`, and its children. On Windows, grandchildren whose own
-    parent has ended already survive."""
+    """Kill a process that was started with `start_options`, and its children. On Windows, grandchildren survive if
+    their own parent has already ended."""
     if not WINDOWS:
         os.killpg(process.pid, signal.SIGKILL)  # as `start_new_session` made it the leader of its group
         return

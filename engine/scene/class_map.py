@@ -230,8 +230,8 @@ def _merged(
 def _reduced(
     labels: Mapping[int, ClassLabel], into: Mapping[int, str], choice: ClassChoice
 ) -> tuple[list[ClassLabel], dict[int, int]]:
-    """Return the paper's 21 classes, and each label's class among them: the one that ``into`` names, else the one of
-    the label's own name or number. Raises PlgsError for labels without a match."""
+    """Return the paper's 21 classes, and by number each label's class among them: the one that ``into`` names, else
+    that of its number in the table of ``choice``, else of its name. Raises PlgsError for labels without a match."""
     final = list(known_table(REDUCED).labels)
     by_name = {label.name: label.id for label in final} | {"void": VOID}
     table = {} if choice.table is None else known_table(choice.table).reduced

@@ -83,7 +83,7 @@ def _on_lift_chosen(settings: PLGS_PG_settings) -> None:
 
 
 def _when_engine_is_ready() -> None:
-    """Read scenes that were chosen before once more, as Blender without an engine sees less in them."""
+    """Read again the chosen scenes that Blender could not fully read without an engine."""
     for scene in bpy.data.scenes:
         seen = survey.survey_of_panel(scene.plgs)
         if seen is not None and seen.has_masks is None:

@@ -54,7 +54,7 @@ def copy_label_gradients(tile: Tile, size: Size, d_labels: Array, channels: Arra
 
 @device_function
 def add_label_gradients(padded: int, scratch: Array, lists: PatchLists) -> None:
-    """Add each patch's sums over pixels of weight * label gradient to the label gradients of its list's Gaussians."""
+    """Empty the lists, and add to each listed Gaussian's label gradients its patch's sum of weight * label gradient."""
     for patch in range(PATCHES):
         count, listed = v.get(lists.counts, patch), patch * LISTED
         if count == 0:

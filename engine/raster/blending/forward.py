@@ -126,9 +126,9 @@ def load_labels(
 
 @device_function
 def add_listed_labels(patch: int, end: int, scratch: Array, members: Array, batches: int, padded: int) -> int:
-    """Add weight * label to a patch's pixels for each Gaussian in the patch's list, which ends before ``end``.
-    ``members`` has the offset of each Gaussian's labels, from scratch[batches:], in vectors. Return the empty list's
-    end."""
+    """Add weight * label to a patch's pixels for each Gaussian in the patch's list, which ends before ``end``, and
+    empty the list: return its new end. ``members`` says where each Gaussian's labels begin, in vectors from
+    scratch[batches:]."""
     listed = patch * LISTED
     out = Rows(scratch, STRIP_LABELS + patch * TILE * padded, padded)
     weights = Factors(scratch, WEIGHTS + listed * TILE, 1, TILE)

@@ -39,7 +39,7 @@ def pinhole(
 
 
 def fitted(lens: Camera, picture: Path, fix: str) -> Camera:
-    """Return ``lens`` scaled to an image file's size. Raises PlgsError, with ``fix`` as advice, for another shape."""
+    """Return ``lens`` scaled to an image's size. Raises PlgsError, with ``fix`` as advice, for other proportions."""
     size = read_image_header(picture).size
     if not same_shape(size, lens.size):
         what = f"the picture is {shown_size(size)}, but its camera is {shown_size(lens.size)}"
