@@ -22,7 +22,7 @@ from .inspect import OnClass, OnInstance, OnLift
 
 _FRAMES = [
     ("all", "All Frames", "Bake every frame that has no passes yet"),
-    ("test", "Check Frames", "Bake the frames that the lift did not learn from, which check it"),
+    ("test", "Check Frames", "Bake the held-out frames, which the lift did not learn from"),
     ("active", "Active Camera", "Bake the frame whose camera is the scene's active one"),
 ]
 _FOR_CHANGED = [

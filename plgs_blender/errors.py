@@ -29,19 +29,15 @@ _OTHER_NAMES = {
 """Blender's names of options that match no field, or more than one."""
 _OPTION = re.compile(r"(?:lift (?=--poses))?(?<![\w-])--([a-z-]+)(?: [A-Z]+\b| colmap\b)?")
 _COMMAND = (
-    r"'?(?:(?:'[^']*'|\S+) -m engine|the command) (add|segment|poses|depth|lift(?= \S+ --resume))\b"
-    r"(?: [A-Z]+\b| --resume| \w+(?=\.))*'?"
+    r"'?(?:(?:'[^']*'|\S+) -m engine|the command) "
+    r"(add|segment|poses|depth|lift(?= \S+ --resume)|inspect(?= \S+ --fix))\b"
+    r"(?: [A-Z]+\b| --resume| --fix| \w+(?=\.))*'?"
 )
 """A command of the engine, as messages name it for a terminal."""
 _ADVISED = re.compile(rf"[A-Z][^.:]*: {_COMMAND}(?=\.|$)")
 """A sentence that ends in such a command."""
-_BUTTONS = {
-    "add": "Add to Engine",
-    "segment": "Make Masks",
-    "poses": "Find Poses",
-    "depth": "Make Depth",
-    "lift": "Resume",
-}
+_BUTTONS = {"add": "Add to Engine", "segment": "Make Masks", "poses": "Find Poses", "depth": "Make Depth"}
+_BUTTONS |= {"lift": "Resume", "inspect": "Fix"}
 """The button that does what a command does."""
 _PLAIN_WORD = re.compile(r"[a-z]+(?=[ ,:;.]?( |$))")
 

@@ -65,9 +65,9 @@ def make_parser() -> argparse.ArgumentParser:
 
 def _add_experiments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Lift every scene once per row, each in its own process and without passes, and print the "
-        "paper's tables in Markdown: baselines, ablations, departures. Finished lifts in FOLDER are kept, stopped ones "
-        "continue."
+        "Lift every scene once for each row of the paper's tables, each in its own process and without passes, and "
+        "print the tables in Markdown: baselines, ablations, departures from the paper. Finished lifts in FOLDER are "
+        "kept, stopped ones continue."
     )
     about = f"a scene's folder; AXIS is one of {', '.join(UP_OPTIONS)}"
     parser.add_argument("scenes", nargs="*", metavar="SCENE[:up=AXIS]", help=f"{about} (default: {SAMPLE})")

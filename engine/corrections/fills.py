@@ -27,7 +27,7 @@ OPACITY = 0.98
 CERTAIN, GUESSED = 0.9, 0.5
 """Probability that the class of a point is right where photos saw it, and where nothing did."""
 _HARMONIC = 0.28209479177387814  # the spherical harmonic of degree 0: 1 / (2 sqrt(pi))
-_MAKE_ANEW = "Put the object back and remove it again."
+_MAKE_ANEW = "Put the removed object back and remove it again."
 _FARTHEST = 1e4
 """Metres within which a cell's number fits into 21 bits."""
 

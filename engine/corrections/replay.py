@@ -162,7 +162,8 @@ class Replay:
         try:
             fill = self.fill_of(edit)
         except PlgsError as error:
-            return f"{error.what} ({error.where}): put it back and remove it again"
+            names = ", ".join(self.objects[each].name for each in ids)
+            return f"{error.what} ({error.where}): put {names} back and remove {'them' if ids[1:] else 'it'} again"
         step = Step(dict.fromkeys(ids, GONE), fill=fill)
         step.apply(self.xyz, self.label)
         self.steps.append(step)

@@ -97,7 +97,8 @@ def _captioned(picture: NDArray[np.uint8], caption: str) -> Picture:
 
 
 FINDINGS = "findings.json"
-FIX = "--fix OUT writes a scene in which it is mended"  # ends an ``option`` that needs no decision
+MEND = "'python -m engine inspect SCENE --fix OUT'"
+FIX = f"{MEND} writes a scene in which it is mended"  # ends an ``option`` that needs no decision
 
 Severity = Literal["wrong", "note"]  # "wrong": fix it before a lift; "note": a lift copes with it
 

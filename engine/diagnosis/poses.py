@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..job.progress import Progress, unwatched
 from ..posed.layout import listed
 from ..scene import Scene, digests_of_files
-from .findings import Finding, side_by_side
+from .findings import MEND, Finding, side_by_side
 from .reprojection import Assumption, Examined, Floats, Pairs, Views, assumed_poses, lens_under
 
 _WIDE = 0.15  # a fraction of the depth; a surface farther off is a different one
@@ -173,7 +173,7 @@ def _misplaced_finding(examined: Examined, rows: list[int]) -> Finding:
     return Finding(
         cause="frames out of place",
         text=f"{agrees} with no neighbour, although the neighbours agree with each other: {listed(names)}",
-        option="leave them out; --fix OUT writes a scene without them",
+        option=f"leave them out; {MEND} writes a scene without them",
         figures={"frames": float(len(rows))},
         is_mended=True,
         frames=names,
@@ -274,7 +274,7 @@ def repeat_findings(scene: Scene, progress: Progress = unwatched) -> list[Findin
     finding = Finding(
         cause="repeated frames",
         text=f"{count} the picture of another ({pairs})",
-        option="leave them out; --fix OUT writes a scene without them",
+        option=f"leave them out; {MEND} writes a scene without them",
         figures={"frames": float(len(repeated))},
         is_mended=True,
         frames=tuple(frames[number].name for number, _ in repeated),

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .findings import Finding, level_surfaces
+from .findings import MEND, Finding, level_surfaces
 from .reprojection import Assumption, Examined, Floats, Views, lens_under
 
 _CLEARLY_UP = 0.6
@@ -88,7 +88,7 @@ def tilt_finding(examined: Examined, up: UpAxis, assumed: Assumption) -> Finding
         text=f"up is {up.tilt:.0f} degrees from z: {up.level:.0%} of the surfaces are level about the axis "
         f"{up.axis[0]:.2f}, {up.axis[1]:.2f}, {up.axis[2]:.2f} and {up.walls:.0%} upright"
         + (f"; that is the poses' axis {way}" if is_named else ""),
-        option=f"{option}--fix OUT turns it upright",
+        option=f"{option}{MEND} writes a scene that is turned upright",
         figures={"degrees": up.tilt, "level": up.level, "walls": up.walls, "within_degrees": up.deviation, "axis": way},
         is_mended=True,
         picture=level_surfaces(examined.looks[best], shown @ up.axis, "green: level, blue: upright"),

@@ -57,7 +57,7 @@ def not_shown(metrics: Mapping[str, Json]) -> list[tuple[str, str]]:
     found = []
     for one in (entry for entry in entries if isinstance(entry, dict)):
         views = _number(one.get("views"), 1, 0)
-        what = f"{'' if one.get('whole_class') else 'one '}{one.get('name')}: {views} near views"
+        what = f"{'' if one.get('whole_class') else 'one '}{one.get('name')}: seen from near in {views} views"
         what += f", shown as {one['shown_as']}" if one.get("shown_as") else ""
         found.append((printable(what), str(one.get("frame"))))
     return found

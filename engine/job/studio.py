@@ -77,5 +77,5 @@ def filled_in(options: argparse.Namespace) -> argparse.Namespace:
     defaults = {"preset": studio.preset, "masks": masks, "device": studio.device, "memory": studio.memory}
     taken = {name: value for name, value in defaults.items() if value and name in given and not given[name]}
     if taken:
-        print(f"From {studio.file}: {', '.join(f'{name} {value}' for name, value in taken.items())}", file=sys.stderr)
+        print(f"{studio.file} sets {', '.join(f'{name} {value}' for name, value in taken.items())}", file=sys.stderr)
     return argparse.Namespace(**given | taken)

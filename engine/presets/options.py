@@ -236,7 +236,7 @@ _FIX = "'python -m engine presets preview' prints one that can be changed."
 
 def read_toml(path: Path, fix: str) -> dict[str, Any]:
     """Read a small TOML file. Raises PlgsError if it is unreadable and, with the advice ``fix``, if it is not TOML."""
-    with reading(path, "Give a small TOML file that you may read."):
+    with reading(path, "Give a small TOML file that you have permission to read."):
         content = read_plain(path, MOST_BYTES)
     try:
         return tomllib.loads(content.decode("utf-8"))

@@ -36,7 +36,7 @@ _FIX = (
     "Give a folder with panoptic.json and panoptic/ (COCO), or with PNGs of class ids and of instance ids in "
     f"{', '.join(' and '.join(pair) for pair in PAIRS)}."
 )
-_TABLE_FIX = 'Put COCO\'s panoptic.json, or a labels.json with its "classes", into one of the two folders.'
+_TABLE_FIX = 'Put COCO\'s panoptic.json, or a labels.json with "classes", into the folder of predictions or of truth.'
 
 
 @dataclass(frozen=True, eq=False)

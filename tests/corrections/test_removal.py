@@ -79,7 +79,7 @@ def test_a_removal_without_its_fill_warns_and_can_be_put_back(lift: Path, spoil:
     removal(lift, DESK, fill=patch(np.ones((4, 3))))
     spoil(path_of(lift, "a1"))
     now = read_corrected(lift)
-    assert now.removed == () and now.fingerprint == "" and "put it back and remove it again" in now.warnings[0]
+    assert now.removed == () and now.fingerprint == "" and f"put {name} back and remove it again" in now.warnings[0]
     edit, now = put_back(lift, [name])
     assert edit.undone and now.warnings == [] and now.instances == before.instances
     _, now = removal(lift, DESK, fill=patch(np.ones((4, 3))))

@@ -120,7 +120,7 @@ def contrast(xyz: np.ndarray, rgb: np.ndarray) -> np.ndarray:
     return (rgb - mean[four]).std(axis=0)
 
 
-def test_guessed_pixels_have_the_mean_colour_of_the_floor_without_its_pattern(removed: Terminal) -> None:
+def test_guessed_points_have_the_mean_colour_of_the_floor_without_its_pattern(removed: Terminal) -> None:
     [edit] = json.loads((removed.folder / LIFT / "corrections.json").read_text())["edits"]
     fill = read_fill(path_of(removed.folder / LIFT, edit["fill"]))
     floor = fill.label == -FLOOR_ID

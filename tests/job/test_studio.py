@@ -28,7 +28,7 @@ def test_studio_defaults_fill_in_options_that_are_not_given(
     found = request_from(filled_in(parser.parse_args([room])))
     assert (found.preset, found.chosen_preset.steps, found.device) == ("standard", 7, "auto")
     assert found.masks == tmp_path / "masks" / "room.v2"
-    assert capsys.readouterr().err.startswith(f"From {tmp_path / 'plgs.toml'}: preset {tmp_path / 'own.toml'}, masks ")
+    assert capsys.readouterr().err.startswith(f"{tmp_path / 'plgs.toml'} sets preset {tmp_path / 'own.toml'}, masks ")
     given = request_from(filled_in(parser.parse_args([room, "--preset", "paper", "--device", "cpu"])))
     assert (given.preset, given.device) == ("paper", "cpu")
     assert capsys.readouterr().err.count(",") == 0, "masks alone"

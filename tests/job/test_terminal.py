@@ -113,12 +113,12 @@ def test_objects_that_a_lift_does_not_show_are_reported() -> None:
     chair = {"name": "chair", "whole_class": False, "views": 3, "shown_as": "", "frame": "0031"}
     metrics = {"tables": [{"name": "lifted"}], "masks_as_judges": {"not_shown": [sink, chair, "no entry"]}}
     assert not_shown(metrics) == [
-        ("sink: 4 near views, shown as countertop", "0012"),
-        ("one chair: 3 near views", "0031"),
+        ("sink: seen from near in 4 views, shown as countertop", "0012"),
+        ("one chair: seen from near in 3 views", "0031"),
     ]
     assert metrics_text(metrics).splitlines()[-2:] == [
-        "Not shown: sink: 4 near views, shown as countertop (see frame 0012)",
-        "Not shown: one chair: 3 near views (see frame 0031)",
+        "Not shown: sink: seen from near in 4 views, shown as countertop (see frame 0012)",
+        "Not shown: one chair: seen from near in 3 views (see frame 0031)",
     ]
     for broken in ({}, {"masks_as_judges": 3}, {"masks_as_judges": {"not_shown": 7}}):
         assert not_shown(broken) == []

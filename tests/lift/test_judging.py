@@ -68,12 +68,14 @@ def warning_of(found: Judgement, path: Path) -> str:
     return str(warning.data["message"])
 
 
-def test_a_missing_object_names_its_frame(scene_path: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_the_warning_of_a_missing_object_names_a_frame_that_shows_it(
+    scene_path: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     found = judged(scene_path, without_chair)
     (chair,) = found.not_shown
     assert (chair.name, chair.whole_class, chair.shown_as) == ("chair", True, "wall")
     assert found.trained is not None and found.trained < 0.85
-    line = f"chair: {chair.views} near views, shown as wall (see frame {chair.frame})"
+    line = f"chair: seen from near in {chair.views} views, shown as wall (see frame {chair.frame})"
     assert warning_of(found, tmp_path / "events.jsonl").endswith(f"does not show: {line}")
     assert json.loads(json.dumps(found.to_json()))["not_shown"][0]["name"] == "chair"
     with caplog.at_level(logging.INFO, "plgs.lift"):

@@ -180,7 +180,9 @@ def test_predictions_with_another_class_table_are_mapped_by_name(second: str, pq
     assert strict(predictions, truth)["pq"] == pytest.approx(pq)
 
 
-def test_predictions_lacking_frames_are_reported_or_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_frames_without_prediction_are_reported_and_without_truth_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     predictions = write_masks(tmp_path / "masks")
     few = write_pngs(tmp_path / "few", "class", "instance", frames=NAMES[:1])
     with raises_key("no-truth 0002"):

@@ -100,7 +100,7 @@ def test_meshes_are_made_and_placed(lift: Path, tmp_path: Path, monkeypatch: pyt
     assert len(names) == 2
 
 
-def test_the_shown_meshes_are_exported_by_blender_itself(mine: Path, tmp_path: Path) -> None:
+def test_blender_exports_the_objects_that_the_list_shows_and_keeps_the_scene(mine: Path, tmp_path: Path) -> None:
     """By Blender itself: names, pictures and what the lists hide; the scene is as it was."""
     write_surface(mine / "exports" / "surface" / "mesh.ply", shade=40)
     assert not bpy.ops.plgs.export_shown.poll()

@@ -93,10 +93,10 @@ def test_views_and_masks_of_an_instance_are_shown(root: bpy.types.Collection) ->
 
 def test_objects_missing_from_a_lift_are_listed(lift: Path) -> None:
     """A class that near masks name and the passes lack: its row goes to the frame."""
-    result = replace(read_result(lift), not_shown=(("sink: 4 near views", "0002"),))
+    result = replace(read_result(lift), not_shown=(("sink: seen from near in 4 views", "0002"),))
     root = place_lift(lift, bpy.context.scene)
     fill_not_shown(root, result)
-    assert [(row.name, row.frame) for row in root.plgs.not_shown] == [("sink: 4 near views", "0002")]
+    assert [(row.name, row.frame) for row in root.plgs.not_shown] == [("sink: seen from near in 4 views", "0002")]
     bpy.ops.plgs.go_to_frame(frame=root.plgs.not_shown[0].frame)
     assert bpy.context.scene.camera["frame"] == "0002"
     with pytest.raises(RuntimeError):

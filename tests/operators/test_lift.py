@@ -141,7 +141,9 @@ def test_opening_a_saved_file_finds_its_lift_again(lift: Path, tmp_path: Path) -
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no FIFOs here")
-def test_opening_a_file_reads_no_strangers_paths(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_opening_somebody_elses_blend_file_reads_none_of_its_paths(
+    lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     theirs = tmp_path / "theirs"
     theirs.mkdir()
     os.mkfifo(theirs / "request.json")

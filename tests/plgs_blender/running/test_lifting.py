@@ -41,7 +41,10 @@ def test_the_panel_advises_to_wait_for_or_cancel_a_running_lift(tmp_path: Path) 
         ),
         ("Say which one it is, such as --mask-format coco.", "Say which one it is, such as Mask Format coco."),
         ("lift with --up -y", "lift with Up -y"),
-        ("read it with --up z, or --fix OUT turns it upright", "read it with Up z, or Fix turns it upright"),
+        (
+            "read it with --up z, or 'python -m engine inspect SCENE --fix OUT' writes a scene that is turned upright",
+            "read it with Up z, or Fix writes a scene that is turned upright",
+        ),
         ("/rooms/a--size 3/x--up", "/rooms/a--size 3/x--up"),
         ("--fits and --unheard-of", "--fits and --unheard-of"),
         ("let the command segment make them", "let Make Masks make them"),
