@@ -230,7 +230,7 @@ class PLGS_OT_open_log(base.OnLiftFolder, base.Acts, bpy.types.Operator):
 _FORMS = [(form, label, about) for form, (label, about) in exports.FORMS.items()]
 _FRAMES = [
     ("all", "All Frames", "Every frame; those that are not baked are rendered"),
-    ("test", "Check Frames", "The frames that the lift did not learn from, which check it"),
+    ("test", "Check Frames", "The held-out frames, which the lift did not learn from"),
 ]
 
 

@@ -40,7 +40,7 @@ _LAYERS = [
 ]
 _BAKES = [
     ("usual", "Preset's", "Bake the test frames; none in a draft"),
-    ("test", "Check Frames", "Bake the passes of the frames that the lift does not learn from, which check it"),
+    ("test", "Check Frames", "Bake the passes of the held-out frames, which the lift does not learn from"),
     ("all", "All Frames", "Bake the passes of every frame"),
     ("none", "None", "Bake no passes now; you can bake them later"),
 ]
