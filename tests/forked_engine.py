@@ -115,16 +115,19 @@ def await_end(child: int, client: socket.socket) -> None:
 
 
 def become(arguments: list[str]) -> None:
-    """Do what a Python with these arguments does: ``-c CODE …`` or ``FILE …`` after its options. Does not return."""
+    """Do what a Python does with ``-c CODE …``, ``-m MODULE …`` or ``FILE …`` after its options. Does not return."""
     import runpy
 
-    while arguments[0] in ("-I", "-u", "-s"):
+    while arguments[0] in ("-I", "-u", "-s", "-P"):
         del arguments[0]
     code = 1
     try:
         if arguments[0] == "-c":
             program, sys.argv = arguments[1], ["-c", *arguments[2:]]
             exec(program, {"__name__": "__main__"})
+        elif arguments[0] == "-m":
+            sys.argv = arguments[1:]
+            runpy.run_module(arguments[1], run_name="__main__", alter_sys=True)
         else:
             sys.argv = arguments
             runpy.run_path(arguments[0], run_name="__main__")

@@ -132,6 +132,13 @@ def read_corrected(lift: Path, listed: Listed | None = None, further: Sequence[E
     return _Result.read(lift, listed).corrected([*read_edits(lift), *further])
 
 
+def read_with_removed(lift: Path) -> CorrectedResult:
+    """Read a finished lift's corrected result with all removed objects back in their places, as the photos show them.
+    Raises PlgsError for a damaged file."""
+    edits = [replace(edit, undone=edit.undone or edit.kind == "remove") for edit in read_edits(lift)]
+    return _Result.read(lift).corrected(edits)
+
+
 def _fingerprint(edits: Sequence[Edit], not_applied: Mapping[str, str], without: tuple[str, ...]) -> str:
     """Return a text that identifies the applied edits, except those of the kinds ``without``; "" if there are none."""
     uids = [each.uid for each in edits if not each.undone and each.kind not in without and each.uid not in not_applied]

@@ -216,5 +216,10 @@ def report_edits(folder: LiftFolder, earlier: EarlierLift, events: EventWriter) 
     applied = sum(not edit.undone and edit.uid not in corrected.not_applied for edit in corrected.edits)
     some = plural(applied, "correction of the earlier lift applies", "corrections of the earlier lift apply")
     summary = f"{some} here; passes show them once they are baked again"
+    if away := [one.name for one in corrected.removed]:
+        summary += (
+            f". What stands in place of {', '.join(away)} was made for the earlier result, and remains of it may show: "
+            "put it back and remove it again"
+        )
     for line in (*corrected.warnings, summary):
         events.warning(line)

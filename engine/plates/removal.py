@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..corrections import CorrectedResult, Edit, correct, making, read_corrected, replayed
+from ..corrections import CorrectedResult, Edit, correct, making, read_corrected, read_with_removed, replayed
 from ..corrections.edits import CORRECTIONS, read_edits
 from ..corrections.fills import FILLS, Fill, path_of, read_fill, write_fill
 from ..corrections.replay import Replay
@@ -104,7 +104,10 @@ def fill_of(folder: LiftFolder, corrected: CorrectedResult, ids: Sequence[int], 
         raise PlgsError("remove-no-points", what, folder.path, "Delete them instead.")
     room = _Room(baker, corrected, ids)
     frames = frames_around(scene.train_frames, np.concatenate([*points.values()]))
-    views = list(read_views(frames, baker, ids, part_of(progress, 0.0, READ, 100)))
+    away = corrected.removed  # the photos still show these, which no label says once they are removed
+    as_in_photos = read_baker(folder, scene.classes, read_with_removed(folder.path)) if away else baker
+    absent = {*ids, *(one.id for one in away)}
+    views = list(read_views(frames, as_in_photos, absent, part_of(progress, 0.0, READ, 100)))
     groups, parts = _groups([*points.values()]), list[Fill]()
     for number, xyz in enumerate(groups):
         begin, end = (READ + (1 - READ) * done / len(groups) for done in (number, number + 1))

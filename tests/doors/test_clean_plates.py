@@ -411,20 +411,28 @@ def test_a_new_lift_with_names_from_keeps_the_removal(terminal: Terminal) -> Non
     with presets_as(preview=TINY):
         lift_into(terminal.folder / "lifts/next", LiftRequest(scene=scene, names_from=terminal.folder / LIFT))
     shutil.rmtree(terminal.folder / LIFT)
+    assert "put it back and remove it again" in (terminal.folder / "lifts/next/events.jsonl").read_text()
     now = engine.read_lift(terminal.folder / "lifts/next")
     assert [one.id for one in read_corrected(terminal.folder / "lifts/next").removed] == [number]
     assert number not in now.points.instance_id and number not in now.gaussians.instance_id
 
 
-def test_stacked_objects_can_be_removed_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("together", [True, False])
+def test_stacked_objects_are_removed_together_or_in_turn(
+    together: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     on_it = np.array([[2.4, 1.45, 1.2], [2.9, 1.85, 1.7]])
     monkeypatch.setattr(tiny_scene, "CHAIR", on_it)
     scene = tiny_scene.write_tiny_scene(tmp_path / "room", frames=6)
     with presets_as(preview=TINY):
         lift = lift_into(tmp_path / "lift", LiftRequest(scene=scene, bake="none"))
-    both = [one.id for one in engine.read_lift(lift.path).instances]
+    listed = engine.read_lift(lift.path).instances
+    both = [one.id for one in sorted(listed, key=lambda one: one.class_id == CHAIR_ID)]  # what stands below first
     assert len(both) == 2
-    plates.remove(lift, [str(number) for number in both])
+    for some in [both] if together else [[one] for one in both]:
+        plates.remove(lift, [str(number) for number in some])
+    edits = json.loads((lift.path / "corrections.json").read_text())["edits"]
+    assert all(len(read_fill(path_of(lift.path, edit["fill"])).xyz) > 10000 for edit in edits), "each is filled"
     shown = engine.read_lift(lift.path).gaussians
     assert not np.isin(shown.instance_id, both).any()
     over = ((shown.xyz > [*CABINET[0, :2], 0.1]) & (shown.xyz < [*CABINET[1, :2], 1.7])).all(axis=1)

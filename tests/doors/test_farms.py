@@ -173,7 +173,7 @@ def test_studio_defaults_are_used_and_the_first_line_names_their_file(shell: Ter
     command = [".venv/bin/python", "-m", "engine", "lift", "scans/room", "-o", "out"]
     variables = {**os.environ, "PLGS_DEFAULTS": str(shell.folder / "studio.toml")}
     ran = subprocess.run(command, cwd=shell.folder, env=variables, capture_output=True, text=True)
-    assert ran.stderr.startswith(f"From {shell.folder / 'studio.toml'}: ") and "masks" in ran.stderr.splitlines()[0]
+    assert ran.stderr.startswith(f"{shell.folder / 'studio.toml'} sets ") and "masks" in ran.stderr.splitlines()[0]
     assert ran.returncode == 2 and "0.5 GB" in ran.stderr, "less memory than a lift needs"
     first = subprocess.run(
         [*command, "--preset", "draft"], cwd=shell.folder, env=variables, capture_output=True, text=True
