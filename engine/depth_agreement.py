@@ -92,7 +92,7 @@ class _Fitted:
 
 def agreeing_depth(maps: Mapping[str, Map], progress: Progress = unwatched) -> Iterator[tuple[str, Depth | None]]:
     """Yield each frame's name in ``maps`` and its agreed depth, or None if the map's values do not grow or fall with
-    the points' depth. ``progress`` is told the frames done."""
+    the points' depth. ``progress`` gets the number of frames done."""
     found: dict[str, _Fitted] = {}
     for name, each in maps.items():
         values = each.values()

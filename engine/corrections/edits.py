@@ -73,8 +73,8 @@ class MovedPoints:
 
 @dataclass(frozen=True)
 class Edit:
-    """A change of a lift's objects or labels that a person made, as it is kept in corrections.json: its ``kind``
-    ("rename", "merge" …), with a unique ``uid`` and the ``time``. Fields that its kind does not use are empty. A rename
+    """A person's change of a lift's objects or labels. It is an entry of corrections.json. It has a ``kind``
+    ("rename", "merge" …), a unique ``uid`` and the ``time``. Fields that its kind does not use are empty. A rename
     has a ``name``. A reclass has a ``class_id``, as has a split whose first part changes its class. A merge turns all
     ``objects`` into the first. A move gives points of the ``objects`` and of the stuff ``classes`` other labels
     (``moved``), perhaps of objects that it ``made``; ``rest`` is the label of the objects' other points, None where

@@ -100,7 +100,7 @@ def limit_instances(
     instances: Sequence[SceneObject], instance_of_point: NDArray[np.int32], most: int
 ) -> tuple[list[SceneObject], NDArray[np.int32], int]:
     """Keep the ``most`` instances with the most pixels, renumbered from 1. Return them, each point's new instance int32
-    [N] (0 = none, or left out), and the number of instances left out, of which the caller should tell the user."""
+    [N] (0 = none, or left out), and how many instances were left out. The caller tells the user."""
     largest = sorted(instances, key=lambda item: (-item.pixels, item.id))[:most]
     kept = sorted(largest, key=lambda item: item.id)
     number = np.zeros(max([int(instance_of_point.max(initial=0)), *(item.id for item in instances)], default=0) + 1)

@@ -226,7 +226,7 @@ def _entry(camera: BakeCamera) -> dict[str, object]:
 
 @dataclass(frozen=True)
 class _Entry:
-    """A camera as it is written in a file of cameras."""
+    """One camera of a file of cameras."""
 
     name: str
     width: int = field(metadata=_SIDE)
