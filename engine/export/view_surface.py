@@ -90,13 +90,14 @@ def _joined(surface: Surface, label: Ints, coarse: int) -> tuple[Surface, Ints]:
     is moved to its rim among the others, if that is _BESIDE. Vertices of other labels at the same places move along."""
     rim = np.unique(open_edges(surface.triangles))
     rim = rim[label[rim] % MOST_INSTANCES > 0]
-    ours, own = rim[rim < coarse], rim[rim >= coarse]
+    coarse_rim, fine_rim = rim[rim < coarse], rim[rim >= coarse]
     apart = np.column_stack([surface.xyz, np.unique(label, return_inverse=True)[1]])  # labels are a metre apart
-    away, nearest = cKDTree(apart[own]).query(apart[ours], distance_upper_bound=_BESIDE)
-    ours, goal = ours[np.isfinite(away)], own[nearest[np.isfinite(away)]]
-    away, copy = cKDTree(surface.xyz[ours]).query(surface.xyz[:coarse], distance_upper_bound=_SAME_PLACE)
-    number, place, moves = *np.arange(len(surface.xyz))[None].repeat(2, axis=0), np.flatnonzero(np.isfinite(away))
-    number[ours], place[moves] = goal, goal[copy[moves]]
+    away, nearest = cKDTree(apart[fine_rim]).query(apart[coarse_rim], distance_upper_bound=_BESIDE)
+    moved, goal = coarse_rim[np.isfinite(away)], fine_rim[nearest[np.isfinite(away)]]
+    away, copy = cKDTree(surface.xyz[moved]).query(surface.xyz[:coarse], distance_upper_bound=_SAME_PLACE)
+    number, moves = np.arange(len(surface.xyz)), np.flatnonzero(np.isfinite(away))
+    place = number.copy()
+    number[moved], place[moves] = goal, goal[copy[moves]]
     xyz, corners = surface.xyz[place], np.sort(place[surface.triangles], axis=1)[::-1]
     kept = surface.triangles[::-1][np.unique(corners, axis=0, return_index=True)[1]]  # one in a place: an object's own
     turned = (triangle_normals(surface.xyz, kept) * triangle_normals(xyz, kept)).sum(axis=1) <= 0  # or collapsed
