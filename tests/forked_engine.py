@@ -32,6 +32,9 @@ sys.exit(int(server.makefile().readline()))
 @contextmanager
 def forked_engines(folder: Path) -> Iterator[Path]:
     """The path of the Python, within a ``with`` block."""
+    from engine.job.process import engine_python
+
+    engine = engine_python()  # this Python, or the one beside it where this is the next Blender's, without torch
     address, python = folder / "socket", folder / "python"
     python.write_text(PYTHON.format(python=sys.executable, address=str(address)))
     python.chmod(0o755)
@@ -39,7 +42,7 @@ def forked_engines(folder: Path) -> Iterator[Path]:
         listening.bind(str(address))
         listening.listen()
         server = subprocess.Popen(
-            [sys.executable, __file__, str(listening.fileno())], pass_fds=[listening.fileno()],
+            [engine, __file__, str(listening.fileno())], pass_fds=[listening.fileno()],
             env=os.environ | {"OMP_NUM_THREADS": "1"},
         )  # fmt: skip
     try:
