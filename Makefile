@@ -1,6 +1,6 @@
 # PLGS for Blender. `make demo` and `make test` set up what they need; README.md says the rest.
 #
-#   make demo [SCENE=folder] [OUT=folder] [PRESET=preview|standard|paper]
+#   make demo [SCENE=folder] [OUT=folder] [PRESET=draft|preview|standard|paper]
 #   make extension
 #   make test, make behaviours, make search [SEED=number] [PLGS_FUZZ=factor], make lint, make clean
 #   make test-slow, make test-window, make test-blender-next, make test-failing-calls [PLGS_FAULTS=number]

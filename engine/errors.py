@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import difflib
 import errno
 import re
 import shlex
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from enum import IntEnum, StrEnum
 from functools import partial
@@ -93,7 +94,7 @@ class PlgsError(Exception):
         if MEMORY_IS_GONE in self.what:  # whatever it was read for: the file may be sound
             fix, option = "Close other programs, or use a computer with more memory.", ""
         self.key, self.where, self.fix, self.code, self.option = key, str(where), fix, code, option
-        super().__init__(one_line(f"{self.problem}. {fix}" if fix else self.problem))
+        super().__init__(one_line(f"{sentence(self.problem)} {fix}" if fix else self.problem))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Tell pickle how to rebuild the error, for example in another process."""
@@ -114,6 +115,18 @@ def problem_of(what: str, where: str) -> str:
     if not where:
         return what
     return f"{where} {what}" if _LACKS_SUBJECT.match(what) else f"{what}: {where}"
+
+
+def sentence(text: str) -> str:
+    """Return ``text`` with a full stop, unless it has its own end, as a question has."""
+    return text if text.endswith((".", "?", "!", "…")) else f"{text}."
+
+
+def did_you_mean(text: str, known: Iterable[str], least: float = 0.6) -> str:
+    """Return "Did you mean NAME? " with the ``known`` name that is most like ``text``, or "" if none reaches ``least``
+    (0 to 1) of likeness."""
+    near = difflib.get_close_matches(text, [*known], 1, least)
+    return f"Did you mean {near[0]}? " if near else ""
 
 
 def lacks_part(what: str, where: Path | str, name: str) -> PlgsError:

@@ -10,7 +10,7 @@ const JOB_TYPE = {
           description: "The capture, as 'lift' takes it" },
         { key: "output", type: "string", subtype: "dir_path", required: true, visible: "submission",
           description: "The lift folder, which is made or continued" },
-        { key: "preset", type: "string", choices: ["preview", "standard", "paper"], default: "standard",
+        { key: "preset", type: "string", choices: ["draft", "preview", "standard", "paper"], default: "standard",
           description: "How much work to spend" },
         { key: "lift_options", type: "string", default: "", visible: "submission",
           description: "Further options of 'lift', separated by spaces, such as --masks MASKS" },

@@ -1,5 +1,6 @@
 """The documentation is true: its links lead somewhere, and it names what there is. tests/doors/ does what it says."""
 
+import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,6 +9,7 @@ from typing import Any
 import pytest
 
 from engine.command_line.main import make_parser
+from engine.presets.preset import PRESETS
 from engine.scene import FORMATS
 from engine.scene.mask_formats import MASK_FORMATS
 
@@ -40,6 +42,11 @@ def test_the_docs_name_every_format(root: Path, page: str, formats: Sequence[Any
     rows = [row.split("|")[1] for row in text.splitlines() if row.startswith("| `")]
     named = {name for row in rows for name in re.findall(r"`([\w-]+)`", row)}
     assert {each.name for each in formats} <= named
+
+
+def test_the_makefile_and_the_farm_offer_every_preset(root: Path) -> None:
+    assert f"[PRESET={'|'.join(PRESETS)}]" in (root / "Makefile").read_text(encoding="utf-8")
+    assert f"choices: {json.dumps([*PRESETS])}" in (root / "farm" / "plgs.js").read_text(encoding="utf-8")
 
 
 def test_the_docs_name_every_command(root: Path) -> None:

@@ -8,10 +8,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import PlgsError
+from ..errors import PlgsError, did_you_mean
 from ..posed.classes import ClassTable, named
 from ..posed.layout import listed
-from .edits import CORRECTIONS, Edit, MovedPoints, NewObject, ObjectMark
+from .edits import Edit, MovedPoints, NewObject, ObjectMark
 from .relabelling import Labels, nearest
 from .replay import Replay, in_millimetres
 
@@ -29,7 +29,7 @@ def rename(state: Replay, number: int, name: str) -> Edit:
     name = name.strip()
     if not name or len(name) > _LONGEST_NAME or not name.isprintable():
         what = f"{name[:80]!r} is not a name for an object"
-        raise PlgsError("object-name", what, CORRECTIONS, f"Give 1 to {_LONGEST_NAME} printable characters.")
+        raise PlgsError("object-name", what, "", f"Give 1 to {_LONGEST_NAME} printable characters.")
     return Edit("rename", (_mark(state, number),), name=name)
 
 
@@ -40,8 +40,9 @@ def class_of(classes: ClassTable, said: int | str) -> int:
     found = found or [number for number, name in names.items() if text in (str(number), f"{number} {name}")]
     if len(found) != 1:
         what = f"'{said}' may be the class {' or '.join(f'{one} {names[one]}' for one in found)}"
-        fix = f"The classes are {', '.join(f'{number} {name}' for number, name in names.items())}."
-        raise PlgsError("no-class", what if found else f"there is no class {said}", CORRECTIONS, fix)
+        every = ", ".join(f"{number} {name}" for number, name in names.items())
+        fix = f"{did_you_mean(text, names.values())}The classes are {every}."
+        raise PlgsError("no-class", what if found else f"there is no class {said}", "", fix)
     return found[0]
 
 
@@ -54,7 +55,7 @@ def object_of(state: Replay, said: int | str) -> int:
         raise _no_object(state, said)
     if len(found) > 1:
         what = f"several objects are named '{said}': {', '.join(map(str, found))}"
-        raise PlgsError("several-objects", what, CORRECTIONS, "Give the id of one, as shown by list.")
+        raise PlgsError("several-objects", what, "", "Give the id of one, as shown by list.")
     return found[0]
 
 
@@ -72,7 +73,7 @@ def merge(state: Replay, numbers: Sequence[int]) -> Edit:
     """Merge the objects ``numbers`` into the first, which keeps its name and its class."""
     numbers = list(dict.fromkeys(numbers))
     if len(numbers) < 2:
-        raise PlgsError("merge-one", "an object cannot be merged with itself", CORRECTIONS, "Name two or more objects.")
+        raise PlgsError("merge-one", "an object cannot be merged with itself", "", "Name two or more objects.")
     return Edit("merge", tuple(_mark(state, number) for number in numbers))
 
 
@@ -105,7 +106,7 @@ def split(
     class_of = {each: kind for each, kind in (class_of or {}).items() if kind != one.class_id}
     if len(parts) < 2:
         fix = "Split it by a plane, or by points that you choose."
-        raise PlgsError("split-one-part", f"object {number} ({one.name}) has only one part", CORRECTIONS, fix)
+        raise PlgsError("split-one-part", f"object {number} ({one.name}) has only one part", "", fix)
     kept, *parts = parts
     kinds = [class_of.get(each, one.class_id) for each in parts]
     made = tuple(
@@ -166,7 +167,7 @@ def assign(
     class ``class_id``, called ``name`` ("": a made name). If both ids are 0, give them only the class."""
     made: tuple[NewObject, ...] = ()
     if not chosen.any():
-        raise PlgsError("no-points", "no points are chosen", CORRECTIONS, "Select points, or enlarge the region.")
+        raise PlgsError("no-points", "no points are chosen", "", "Select points, or enlarge the region.")
     if target:
         _mark(state, target)
         label = target
@@ -180,7 +181,7 @@ def assign(
     classes = tuple(-one for one in before.tolist() if one <= 0 and one != label)
     rows = chosen & (state.label != label)
     if not rows.any():
-        raise PlgsError("same-points", "no chosen point would change object or class", CORRECTIONS, "Choose others.")
+        raise PlgsError("same-points", "no chosen point would change object or class", "", "Choose others.")
     moved = _groups(state.xyz[rows], np.full(int(rows.sum()), label, np.int32))
     return Edit("assign", marks, classes=classes, moved=moved, made=made)
 
@@ -193,10 +194,10 @@ def crop(state: Replay, number: int, within: NDArray[np.bool_]) -> Edit:
     inner, outer = within & (state.label == -kind), own & ~within
     if not (own & within).any() and not inner.any():
         what = f"no point of {state.objects[number].name} is in the box"
-        raise PlgsError("crop-empty", what, CORRECTIONS, "Move its box back.")
+        raise PlgsError("crop-empty", what, "", "Move its box back.")
     if not inner.any() and not outer.any():
         what = "the object already has exactly the points in its box"
-        raise PlgsError("crop-same", what, CORRECTIONS, "Move or scale its box.")
+        raise PlgsError("crop-same", what, "", "Move or scale its box.")
     rows = inner | outer
     label = np.where(inner, number, -kind).astype(np.int32)
     return Edit("assign", (mark,), classes=(kind,), moved=_groups(state.xyz[rows], label[rows]))
@@ -209,9 +210,11 @@ def accept(state: Replay, numbers: Sequence[int]) -> Edit:
 def _no_object(state: Replay, said: int | str) -> PlgsError:
     gone = [one for number, one in state.removed.items() if str(said).strip() in (str(number), one.name)]
     if gone:
-        return PlgsError("removed-already", f"{gone[0].name} is removed already", CORRECTIONS, "Put it back first.")
+        return PlgsError("removed-already", f"{gone[0].name} is removed already", "", "Put it back first.")
+    hint = did_you_mean(str(said), (one.name for one in state.objects.values()))
     known = listed((f"{number} {one.name}" for number, one in sorted(state.objects.items())), 40)
-    return PlgsError("no-object", f"there is no object {said}", CORRECTIONS, f"Its objects are {known or 'none'}.")
+    fix = f"{hint}The lift has {known or 'none'}, as 'correct LIFT list' shows."
+    return PlgsError("no-object", f"there is no object {said}", "", fix)
 
 
 def _mark(state: Replay, number: int) -> ObjectMark:
@@ -222,7 +225,7 @@ def _mark(state: Replay, number: int) -> ObjectMark:
 
 def _some(numbers: Sequence[int]) -> list[int]:
     if not numbers:
-        raise PlgsError("no-object-named", "no object is named", CORRECTIONS, "Name one or more objects.")
+        raise PlgsError("no-object-named", "no object is named", "", "Name one or more objects.")
     return list(dict.fromkeys(numbers))
 
 

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import result_files
-from ..errors import PlgsError
+from ..errors import PlgsError, did_you_mean
 from ..posed import ClassTable
+from ..posed.layout import listed as named
 from ..posed.names import matte_names
 from ..result_files import Anchors, Instance, Listed, SemanticPoints
 from .edits import CORRECTIONS, Edit, editing, read_edits
@@ -214,7 +215,7 @@ def correct(lift: Path, make: Make, listed: Listed | None = None) -> tuple[Edit,
         edit = make(state, free)
         reason = state.apply(edit)
         if reason:
-            raise PlgsError("edit-impossible", reason, lift / CORRECTIONS, "Choose objects and classes that exist.")
+            raise PlgsError("edit-impossible", reason, lift, "Choose objects and classes that exist.")
         edits.append(edit)
     return edit, result.corrected(edits, state)
 
@@ -244,8 +245,9 @@ def put_back(lift: Path, objects: Sequence[int | str], listed: Listed | None = N
         for said in objects:
             found = [number for number, name in names.items() if str(said) in (str(number), name or None)]
             if not found:
-                fix = "List the corrections to see which objects are removed."
-                raise PlgsError("not-removed", f"object {said} is not removed", lift / CORRECTIONS, fix)
+                hint = did_you_mean(str(said), names.values())
+                fix = f"{hint}Removed: {named(names.values(), 40) or 'nothing'}."
+                raise PlgsError("not-removed", f"object {said} is not removed", lift, fix)
             ids |= {*found}
         for row, edit in enumerate(edits):
             if edit.kind == "remove" and not edit.undone and ids.intersection(mark.id for mark in edit.objects):

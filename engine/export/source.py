@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..corrections import CorrectedResult, read_corrected
-from ..errors import PlgsError
+from ..errors import PlgsError, did_you_mean
 from ..job import LiftFolder, read_cameras, read_manifest, verify_files
 from ..job.manifest import damaged
 from ..job.progress import Progress, part_of, unwatched
@@ -78,7 +78,8 @@ class FinishedLift:
         of_instance = {number: name.casefold() for number, name in self.instances.names.items()}
         unknown = [name for name in self.objects if name.casefold() not in {*of_class.values(), *of_instance.values()}]
         if unknown:
-            fix = f"Name objects or classes, such as {listed([*self.instances.names.values(), *of_class.values()])}."
+            names = [*self.instances.names.values(), *of_class.values()]
+            fix = f"{did_you_mean(unknown[0], names)}Name objects or classes, such as {listed(names)}."
             what = f'the lift has nothing called "{unknown[0]}"'
             raise PlgsError("no-such-name", what, self.folder.path, fix, option="--objects")
         asked = {name.casefold() for name in self.objects}

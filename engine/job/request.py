@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import difflib
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -12,7 +11,7 @@ from pathlib import Path
 from typing import Any, Literal, NoReturn, get_args
 
 from .. import __version__
-from ..errors import PlgsError, one_line
+from ..errors import PlgsError, did_you_mean, one_line, sentence
 from ..json_file import Json, read_object, to_text
 from ..presets import options as presets
 from ..presets.preset import PRESETS, Preset
@@ -160,7 +159,7 @@ class Parser(argparse.ArgumentParser):
     """A parser whose errors are one line, without the usage. Its subparsers are of this class, too."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, one_line(f"error: {message.rstrip('.')}. '{self.prog} --help' lists all options.") + "\n")
+        self.exit(2, one_line(f"error: {sentence(message)} '{self.prog} --help' lists all options.") + "\n")
 
 
 def add_options(parser: argparse.ArgumentParser, *names: str) -> None:
@@ -229,9 +228,8 @@ def preset_or_file(text: str) -> str:
     """Return the name of a preset, or of a preset file, unchanged, for argparse. Raises ArgumentTypeError."""
     if text in PRESETS or text.endswith(".toml"):
         return text
-    near = difflib.get_close_matches(text, PRESETS, 1)
-    hint = f"; did you mean {near[0]}?" if near else ""
-    raise argparse.ArgumentTypeError(f"{text!r} is neither one of {', '.join(PRESETS)} nor a FILE.toml{hint}")
+    what = f"{text!r} is neither one of {', '.join(PRESETS)} nor a FILE.toml"
+    raise argparse.ArgumentTypeError(f"{what}. {did_you_mean(text, PRESETS)}".rstrip())
 
 
 def add_scene_options(parser: argparse.ArgumentParser) -> None:

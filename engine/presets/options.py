@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import sys
 import tomllib
@@ -13,7 +12,7 @@ from pathlib import Path
 from types import NoneType
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-from ..errors import PlgsError, reading
+from ..errors import PlgsError, did_you_mean, reading
 from ..gates import read_plain
 from ..json_file import Json
 from .parts import added_names, is_name
@@ -144,8 +143,7 @@ def known_option(name: str) -> PresetOption:
     if name in options:
         return options[name]
     last = [known for known in options if known.rpartition(".")[2] == name]
-    near = last or difflib.get_close_matches(name, options, 1, 0.5)
-    hint = f"Did you mean {near[0]}? " if near else ""
+    hint = did_you_mean(last[0] if last else name, options, 0.5)
     what = f"{name!r} is not an option of this version"
     raise PlgsError("no-option", what, "--set", f"{hint}'{LISTING} preview' lists them all.")
 
@@ -169,8 +167,7 @@ def checked_value(option: PresetOption, value: Json, *, any_part: bool = False) 
         numbers: list[Json] = [_number(option, each) for each in found]
         checked = None if None in numbers else numbers
     if checked is None:
-        near = difflib.get_close_matches(str(value), option.allowed, 1, 0.4)
-        fix = f"Did you mean {near[0]}? " if near else ""
+        fix = did_you_mean(str(value), option.allowed, 0.4)
         what = "is not a valid value"
         raise PlgsError("bad-value", what, f"{option.name} = {value!r}", f"{fix}Give {option.expected}.")
     return checked

@@ -5,7 +5,6 @@ Functions and classes are registered where they belong (``engine/lift/objects.py
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 import inspect
 import re
@@ -13,7 +12,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TypeVar
 
-from ..errors import PlgsError
+from ..errors import PlgsError, did_you_mean
 
 Part = TypeVar("Part", bound=Callable)
 _ADDED: dict[str, list[str]] = {}
@@ -47,9 +46,7 @@ class Parts(dict[str, Part]):
     def chosen(self, name: str) -> Part:
         """Return the part with this name. Raises PlgsError if this process has none."""
         if name not in self:
-            near = difflib.get_close_matches(name, self, 1)
-            hint = f"Did you mean {near[0]}? " if near else ""
-            fix = f"{hint}Choose one of {', '.join(self)}, or run the script that registers it."
+            fix = f"{did_you_mean(name, self)}Choose one of {', '.join(self)}, or run the script that registers it."
             raise PlgsError("no-part", f"there is no {self.kind} {name!r}", "", fix)
         return self[name]
 

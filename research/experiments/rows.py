@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
@@ -10,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from engine.errors import PlgsError
+from engine.errors import PlgsError, did_you_mean
 from engine.json_file import Json
 from engine.presets.options import checked_options
 
@@ -87,8 +86,7 @@ class Rows:
         known = {name.casefold(): name for name in (*self.tables, *(row.name for row in self.rows))}
         for wanted in only:
             if wanted.casefold() not in known:
-                near = difflib.get_close_matches(wanted.casefold(), known, 1, 0.4)
-                hint = f"Did you mean {known[near[0]]!r}? " if near else ""
+                hint = did_you_mean(wanted.casefold(), known, 0.4)
                 fix = f"{hint}There are the tables {', '.join(self.tables)} and their rows, see rows.toml."
                 raise PlgsError("no-row", "no row or table has this name", wanted, fix)
         names = {wanted.casefold() for wanted in only}

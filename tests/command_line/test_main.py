@@ -3,6 +3,7 @@
 import argparse
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -87,12 +88,14 @@ def test_bad_input_gives_a_one_line_error(capsys: pytest.CaptureFixture[str], tm
         (["lift", tmp_path, "-o", tmp_path / "new", "--set", "objects=boxs"], "Did you mean boxes"),
         (["lift", tmp_path, "-o", tmp_path / "new", "--preset", tmp_path / "no.toml"], "no.toml"),
         (["presets", "preview", "--set", "weights.dept=0"], "Did you mean weights.depth"),
+        (["lift", tmp_path, "-o", tmp_path / "new", "--preset", "drft"], "Did you mean draft? '"),
         (["evaluate", tmp_path], "request.json"),
         (["evaluate", lift.path], "not finished"),
     ):
         assert code_of(*arguments) == 2
         said = capsys.readouterr().err
         assert said.startswith("error: ") and said.count("\n") == 1 and told in said
+        assert not re.search(r"[.?!]\.(?!\.)", said), "each sentence has one end"
 
 
 INTERRUPTED = (

@@ -62,6 +62,13 @@ def test_corrections_are_kept_in_corrections_json_and_result_is_unchanged(termin
     assert said.strip().endswith("to a, b; in Cryptomatte a b")
 
 
+def test_a_misspelt_object_or_class_is_answered_with_the_names_there_are(terminal: Terminal) -> None:
+    for arguments, meant in (("rename chiar throne", "chair 1"), ("reclass cabinet-1 wall", "cabinet 1"),
+                             ("reclass 'chair 1' cabinte", "cabinet"), ("remove chair", "chair 1")):  # fmt: skip
+        told = terminal.run(f".venv/bin/python -m engine correct lifts/demo {arguments}", code=2)
+        assert f"Did you mean {meant}? " in told and "corrections.json" not in told, told
+
+
 def test_frames_that_show_other_corrections_are_baked_again(terminal: Terminal) -> None:
     passes = held_out(terminal)
     terminal.run(BAKE)
