@@ -98,8 +98,9 @@ def with_neighbours(cells: NDArray[np.int32]) -> NDArray[np.int32]:
 
 
 def cell_keys(cells: NDArray[np.integer]) -> NDArray[np.int64]:
-    """Return one number for each cell [N, 3], int64 [N], equal for equal cells."""
-    x, y, z = cells.astype(np.int64).T + (1 << 20)
+    """Return one number for each cell [N, 3], int64 [N], equal for equal cells. It has 21 bits for each axis, and
+    repeats beyond these."""
+    x, y, z = cells.astype(np.int64).T + (1 << 20) & (1 << 21) - 1
     return x << 42 | y << 21 | z
 
 

@@ -16,7 +16,7 @@ from ..posed import Camera
 from ..posed.layout import plural
 from ..result_files import Instance, SemanticPoints
 from .making import parts_of
-from .replay import INNER, Replay
+from .replay import INNER, Replay, overlap
 from .result import CorrectedResult
 
 BY_VIEWS = "split by views"
@@ -155,23 +155,12 @@ def class_of_parts(lift: Path, state: Replay, number: int, part: NDArray[np.inte
             continue
         rows, pixel, _ = camera.seen(xyz)
         points, shown = pixel / camera.size, part[rows]
-        fits = [_overlap(points[shown == each], segment.rectangle) for each in numbers]
+        own, box = (points[shown == each] for each in numbers), np.reshape(segment.rectangle, (2, 2))
+        fits = [overlap(np.percentile(each, INNER, axis=0), box) if len(each) else 0.0 for each in own]
         if max(fits) >= FITS:
-            own = votes.setdefault(numbers[int(np.argmax(fits))], {})
-            own[segment.class_id] = own.get(segment.class_id, 0.0) + segment.pixels
+            vote = votes.setdefault(numbers[int(np.argmax(fits))], {})
+            vote[segment.class_id] = vote.get(segment.class_id, 0.0) + segment.pixels
     return {each: max(sorted(own), key=lambda kind: own[kind]) for each, own in votes.items()}  # ties: the lower id
-
-
-def _overlap(points: NDArray[np.float64], rectangle: tuple[float, float, float, float]) -> float:
-    """The intersection over union of the rectangle around points [n, 2] and another (left, top, right, bottom)."""
-    if not len(points):
-        return 0.0
-    (left, top), (right, bottom) = np.percentile(points, INNER, axis=0)
-    width = min(right, rectangle[2]) - max(left, rectangle[0])
-    height = min(bottom, rectangle[3]) - max(top, rectangle[1])
-    common = max(float(width), 0.0) * max(float(height), 0.0)
-    other = (rectangle[2] - rectangle[0]) * (rectangle[3] - rectangle[1])
-    return common / max(float((right - left) * (bottom - top)) + other - common, 1e-9)
 
 
 _CELLS = 48

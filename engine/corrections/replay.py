@@ -12,7 +12,7 @@ from ..errors import PlgsError
 from ..posed import ClassTable, distinct_colour
 from ..result_files import Instance, SemanticPoints
 from .edits import KINDS, MOVES, PER_METRE, Edit, MovedPoints, ObjectMark
-from .fills import NOTHING, Fill
+from .fills import NOTHING, Fill, cell_keys
 from .relabelling import GONE, Labels, Relabelling, Step, labels_of, nearest, step_of
 
 LEAST_OVERLAP = 0.2
@@ -132,7 +132,8 @@ class Replay:
         if mark.id not in self.objects:
             return f"there is no object {mark.id}"
         now = self._marks.get(mark.id) or self._marks.setdefault(mark.id, self.mark(mark.id))
-        if mark != now and mark.points and now.points and _overlap(mark, now) < LEAST_OVERLAP:
+        boxes = (np.array([each.low, each.high]) + [[-PADDING], [PADDING]] for each in (mark, now))
+        if mark != now and mark.points and now.points and overlap(*boxes) < LEAST_OVERLAP:
             return f"object {mark.id} ({self.objects[mark.id].name}) is a different object in this lift"
         return ""
 
@@ -239,7 +240,7 @@ def _take_moved(xyz: NDArray[np.float32], after: Labels, groups: Sequence[MovedP
     target = np.concatenate([np.full(len(group.millimetres) // 3, group.label, np.int32) for group in groups])
     if not len(wanted):
         return
-    keys, own = _keys(wanted), _keys(in_millimetres(xyz))
+    keys, own = cell_keys(wanted), cell_keys(in_millimetres(xyz))
     order = np.argsort(keys, kind="stable")
     index = order[np.minimum(np.searchsorted(keys, own, sorter=order), len(keys) - 1)]
     found = keys[index] == own
@@ -255,25 +256,13 @@ def in_millimetres(xyz: NDArray[np.floating]) -> NDArray[np.int64]:
     return np.rint(xyz.astype(np.float64) * PER_METRE).astype(np.int64)
 
 
-def _keys(millimetres: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return one number for each point [N, 3], int64 [N], made of 21 bits per axis, which repeat beyond a kilometre."""
-    x, y, z = (millimetres & ((1 << 21) - 1)).T
-    return x << 42 | y << 21 | z
-
-
-def _overlap(one: ObjectMark, other: ObjectMark) -> float:
-    """Return the intersection over union of the two marks' boxes, slightly enlarged."""
-    low, high = (np.array([mark.low, mark.high]) + [[-PADDING], [PADDING]] for mark in (one, other))
-    common = np.prod(np.maximum(np.minimum(low[1], high[1]) - np.maximum(low[0], high[0]), 0.0))
-    return float(common / (np.prod(low[1] - low[0]) + np.prod(high[1] - high[0]) - common))
+def overlap(one: NDArray[np.floating], other: NDArray[np.floating]) -> float:
+    """Return the intersection over union of two boxes, each by its lowest and its highest corner, [2, D]."""
+    common = np.prod(np.maximum(np.minimum(one[1], other[1]) - np.maximum(one[0], other[0]), 0.0))
+    return float(common / max(np.prod(one[1] - one[0]) + np.prod(other[1] - other[0]) - common, 1e-9))
 
 
 def _matrix(rotation: tuple[float, float, float, float]) -> NDArray[np.float64]:
     w, x, y, z = np.array(rotation) / max(float(np.linalg.norm(rotation)), 1e-9)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    across = 2 * np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])  # Rodrigues' formula in terms of the quaternion
+    return np.asarray(np.eye(3) + w * across + across @ across / 2)
