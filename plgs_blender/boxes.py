@@ -56,9 +56,9 @@ def name_object(ob: bpy.types.Object, name: str) -> None:
 def _place(owned: OwnedDataBlocks, parent: bpy.types.Collection, instance: Instance, anew: bool) -> bpy.types.Object:
     key, placed = f"{INSTANCE}{instance.id}", [*instance.centre, *instance.size, *instance.rotation]
     before, name, where = owned.known(key), "", None
-    if before is not None and text_of(before, NAME) == instance.name and numbers_of(before, PLACED) == placed:
-        facts = instance.class_id, instance.points, instance.views
-        listed = tuple(before.get(key) for key in ("class_id", "points", "views"))
+    if before is not None and numbers_of(before, PLACED) == placed:
+        facts = instance.name, instance.class_id, instance.points, instance.views
+        listed = tuple(before.get(key) for key in (NAME, "class_id", "points", "views"))
         if not anew and facts == listed and before in owned.in_scene:
             owned.keep(before)
             return before

@@ -150,6 +150,9 @@ def _described(edit: Edit, corrected: CorrectedResult) -> str:
         number = edit.objects[0].id
         objects, matte = str(number), corrected.names_in_mattes.get(number, edit.name)
         made = "" if matte == edit.name else f"; in Cryptomatte {matte}"  # no commas, and no name twice
+    if edit.kind == "reclass" and any(edit.names) and not edit.undone:
+        objects = ", ".join(str(mark.id) for mark in edit.objects)
+        made = f"; now {', '.join(filter(None, edit.names))}"
     to = edit.name or (corrected.classes[edit.class_id].name if edit.class_id in corrected.classes else "")
     return f"{'undone: ' if edit.undone else ''}{edit.kind} {objects}{f' to {to}' if to else ''}{made}"
 

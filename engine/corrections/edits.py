@@ -74,17 +74,19 @@ class MovedPoints:
 @dataclass(frozen=True)
 class Edit:
     """A person's change of a lift's objects or labels. It is an entry of corrections.json. It has a ``kind``
-    ("rename", "merge" …), a unique ``uid`` and the ``time``. Fields that its kind does not use are empty. A rename
-    has a ``name``. A reclass has a ``class_id``, as has a split whose first part changes its class. A merge turns all
-    ``objects`` into the first. A move gives points of the ``objects`` and of the stuff ``classes`` other labels
-    (``moved``), perhaps of objects that it ``made``; ``rest`` is the label of the objects' other points, None where
-    they keep theirs. A removal takes the ``objects`` out of the room; ``fill`` names the file of what replaces them,
-    and ``digest`` is its SHA-256. ``raw`` is the entry as it was read, for kinds that this version does not know."""
+    ("rename", "merge" …), a unique ``uid`` and the ``time``. Fields that its kind does not use are empty. A rename has
+    a ``name``. A reclass has a ``class_id``, as has a split whose first part changes its class; ``names`` are what the
+    ``objects`` are called then, "" as before. A merge turns all ``objects`` into the first. A move gives points of the
+    ``objects`` and of the stuff ``classes`` other labels (``moved``), perhaps of objects that it ``made``; ``rest`` is
+    the label of the objects' other points, None where they keep theirs. A removal takes the ``objects`` out of the
+    room; ``fill`` names the file of what replaces them, and ``digest`` is its SHA-256. ``raw`` is the entry as it was
+    read, for kinds that this version does not know."""
 
     kind: str = field(metadata=_SHOWN)
     objects: tuple[ObjectMark, ...] = ()
     name: str = field(default="", metadata=_SHOWN)
     class_id: int = 0
+    names: tuple[str, ...] = field(default=(), metadata=_SHOWN)
     classes: tuple[int, ...] = field(default=(), metadata=_BOUNDS)
     moved: tuple[MovedPoints, ...] = ()
     made: tuple[NewObject, ...] = ()

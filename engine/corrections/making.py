@@ -12,6 +12,7 @@ from ..errors import PlgsError, did_you_mean
 from ..posed.classes import ClassTable, named
 from ..posed.layout import listed
 from .edits import Edit, MovedPoints, NewObject, ObjectMark
+from .fills import cell_keys, with_neighbours
 from .relabelling import Labels, nearest
 from .replay import Replay, in_millimetres
 
@@ -60,13 +61,13 @@ def object_of(state: Replay, said: int | str) -> int:
 
 
 def reclass(state: Replay, numbers: Sequence[int], said: int | str) -> Edit:
-    """Give the objects ``numbers`` the class ``said``, its number or name. With a stuff class these objects end, and
-    their points get only the class."""
-    class_id = class_of(state.classes, said)
-    marks = tuple(_mark(state, number) for number in _some(numbers))
+    """Give the objects ``numbers`` the class ``said``, its number or name; names that nobody gave follow it. With a
+    stuff class these objects end, and their points get only the class."""
+    class_id, numbers = class_of(state.classes, said), _some(numbers)
+    marks = tuple(_mark(state, number) for number in numbers)
     if not state.classes[class_id].is_thing:
         return Edit("assign", marks, rest=-class_id)
-    return Edit("reclass", marks, class_id=class_id)
+    return Edit("reclass", marks, names=_names_as(state, numbers, class_id), class_id=class_id)
 
 
 def merge(state: Replay, numbers: Sequence[int]) -> Edit:
@@ -108,9 +109,11 @@ def split(
         fix = "Split it by a plane, or by points that you choose."
         raise PlgsError("split-one-part", f"object {number} ({one.name}) has only one part", "", fix)
     kept, *parts = parts
-    kinds = [class_of.get(each, one.class_id) for each in parts]
+    kinds, own = [class_of.get(each, one.class_id) for each in parts], class_of.get(kept, 0)
+    names = _names_as(state, [number], own) if own else ()
+    before = [own] if any(names) else []
     made = tuple(
-        NewObject(first_id + index, _new_name(state, kind, kinds[:index].count(kind)), kind)
+        NewObject(first_id + index, _new_name(state, kind, [*before, *kinds[:index]].count(kind)), kind)
         for index, kind in enumerate(kinds)
     )
     label = np.full(len(part), number, np.int32)
@@ -118,7 +121,7 @@ def split(
         label[part == each] = new.id
     moves = label != number
     moved = _groups(state.points_of(number)[moves], label[moves])
-    return Edit("split", (mark,), class_id=class_of.get(kept, 0), made=made, moved=moved)
+    return Edit("split", (mark,), names=names, class_id=own, made=made, moved=moved)
 
 
 def parts_of(xyz: NDArray[np.floating], gap: float = PART_GAP) -> NDArray[np.int64]:
@@ -127,28 +130,19 @@ def parts_of(xyz: NDArray[np.floating], gap: float = PART_GAP) -> NDArray[np.int
     if not len(xyz):
         return np.zeros(0, np.int64)
     cells, cell = np.unique(np.floor(xyz / (gap / 2)).astype(np.int64), axis=0, return_inverse=True)
-    cell = cell.ravel()
-    index_of = {tuple(each): index for index, each in enumerate(cells.tolist())}
-    around = [(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)]
-    component = np.full(len(cells), -1, np.int64)
-    count = 0
-    for start in range(len(cells)):
-        if component[start] >= 0:
-            continue
-        component[start], waiting = count, [start]
-        while waiting:
-            x, y, z = cells[waiting.pop()].tolist()
-            for dx, dy, dz in around:
-                other = index_of.get((x + dx, y + dy, z + dz))
-                if other is not None and component[other] < 0:
-                    component[other] = count
-                    waiting.append(other)
-        count += 1
-    sizes = np.bincount(component[cell], minlength=count)
-    rank = np.empty(count, np.int64)
-    rank[np.argsort(-sizes, kind="stable")] = np.arange(count)
-    part = rank[component[cell]]
-    large = np.sort(sizes)[::-1] >= LEAST_PART * len(xyz)
+    keys, component = cell_keys(cells), np.arange(len(cells))  # both rise
+    pairs = list[NDArray[np.int64]]()
+    for step in with_neighbours(np.zeros((1, 3), np.int32)):
+        beside = cell_keys(cells + step)
+        at = np.minimum(np.searchsorted(keys, beside), len(keys) - 1)
+        pairs.append(np.stack([np.arange(len(keys)), at])[:, keys[at] == beside])
+    one, other = np.concatenate(pairs, axis=1)
+    while (component[one] != component[other]).any():
+        np.minimum.at(component, one, component[other])
+        component = component[component]
+    _, component, sizes = np.unique(component[cell.ravel()], return_inverse=True, return_counts=True)
+    part = np.argsort(np.argsort(-sizes, kind="stable"))[component]
+    large = np.sort(sizes)[::-1] >= min(LEAST_PART * len(xyz), sizes.max())  # the largest is no crumb
     crumbs = ~large[part]
     if crumbs.any():
         part[crumbs] = part[~crumbs][nearest(xyz[crumbs], xyz[~crumbs])[0]]
@@ -211,7 +205,9 @@ def _no_object(state: Replay, said: int | str) -> PlgsError:
     gone = [one for number, one in state.removed.items() if str(said).strip() in (str(number), one.name)]
     if gone:
         return PlgsError("removed-already", f"{gone[0].name} is removed already", "", "Put it back first.")
+    now = state.objects.get(state.owners.get(str(said).strip(), 0))
     hint = did_you_mean(str(said), (one.name for one in state.objects.values()))
+    hint = hint if now is None else f"It is called {now.name} now. "
     known = listed((f"{number} {one.name}" for number, one in sorted(state.objects.items())), 40)
     fix = f"{hint}The lift has {known or 'none'}, as 'correct LIFT list' shows."
     return PlgsError("no-object", f"there is no object {said}", "", fix)
@@ -230,10 +226,20 @@ def _some(numbers: Sequence[int]) -> list[int]:
 
 
 def _new_name(state: Replay, class_id: int, more: int = 0) -> str:
-    """Return a name such as "chair 7". Its number is ``more`` above the next number of the class."""
+    """Return a name such as "chair 7", which no object had before. Its number is ``more`` above the class's next."""
     kind = state.classes[class_id].name
-    names = [one.name.removeprefix(f"{kind} ") for one in state.objects.values()]
+    names = [name.removeprefix(f"{kind} ") for name in state.owners]
     return f"{kind} {max((int(name) for name in names if name.isdecimal()), default=0) + 1 + more}"
+
+
+def _names_as(state: Replay, numbers: Sequence[int], class_id: int) -> tuple[str, ...]:
+    """Return new names for objects that get a class, "" for one that keeps its own: a person's, or the class's."""
+    names, others = list[str](), {one.name for one in state.classes.categories if one.id != class_id}
+    for number in numbers:
+        kind, _, digits = state.objects[number].name.rpartition(" ")
+        is_made = digits.isdecimal() and kind in others and number not in state.renamed
+        names.append(_new_name(state, class_id, len(names) - names.count("")) if is_made else "")
+    return tuple(names)
 
 
 def _groups(xyz: NDArray[np.float32], label: Labels) -> tuple[MovedPoints, ...]:

@@ -33,7 +33,8 @@ OUTER = (0.5, 99.5)
 class Replay:
     """The objects and points after some edits. ``label`` int32 [N] is the label of each of the ``points``.
     ``not_applied`` gives, by the uid of an edit, why it could not be applied. ``removed`` are objects taken out of the
-    room, ``accepted`` ids that a person confirmed. ``fill_of`` reads a removal's fill; it may raise PlgsError."""
+    room, ``accepted`` ids that a person confirmed, ``renamed`` those that a person named. ``owners``: every name that
+    an object has or had, and its id. ``fill_of`` reads a removal's fill; it may raise PlgsError."""
 
     classes: ClassTable
     points: SemanticPoints
@@ -42,6 +43,8 @@ class Replay:
     fill_of: Callable[[Edit], Fill] = lambda edit: NOTHING
     removed: dict[int, Instance] = field(default_factory=dict)
     accepted: set[int] = field(default_factory=set)
+    renamed: set[int] = field(default_factory=set)
+    owners: dict[str, int] = field(default_factory=dict)
     steps: list[Step] = field(default_factory=list)
     not_applied: dict[str, str] = field(default_factory=dict)
     _marks: dict[int, ObjectMark] = field(default_factory=dict)
@@ -54,7 +57,8 @@ class Replay:
     ) -> Replay:  # fmt: skip
         """Return the state before any edit: a result as it was made. ``fill_of`` reads a removal's fill."""
         label = labels_of(points.class_id, points.instance_id)
-        return cls(classes, points, label, {one.id: one for one in instances}, fill_of)
+        objects = {one.id: one for one in instances}
+        return cls(classes, points, label, objects, fill_of, owners={one.name: one.id for one in objects.values()})
 
     @property
     def xyz(self) -> NDArray[np.float32]:
@@ -104,9 +108,10 @@ class Replay:
             self._marks.clear()  # such an edit changes the labels of points
         match edit.kind:
             case "rename":
-                self.objects[ids[0]] = replace(self.objects[ids[0]], name=edit.name)
+                self._call(ids[0], edit.name)
+                self.renamed.add(ids[0])
             case "reclass":
-                return self._reclass(ids, edit.class_id)
+                return self._reclass(edit, ids)
             case "merge":
                 self._merge(ids)
             case "accept":
@@ -137,12 +142,18 @@ class Replay:
             return f"object {mark.id} ({self.objects[mark.id].name}) is a different object in this lift"
         return ""
 
-    def _reclass(self, ids: Sequence[int], class_id: int) -> str:
-        if class_id not in self.classes:
-            return f"there is no class {class_id}"
+    def _call(self, number: int, name: str) -> None:
+        self.objects[number] = replace(self.objects[number], name=name)
+        self.owners[name] = number
+
+    def _reclass(self, edit: Edit, ids: Sequence[int]) -> str:
+        if edit.class_id not in self.classes:
+            return f"there is no class {edit.class_id}"
+        names = dict(zip((mark.id for mark in edit.objects), edit.names, strict=False))
         for number in ids:
-            name = self.classes[class_id].name
-            self.objects[number] = replace(self.objects[number], class_id=class_id, class_name=name)
+            kind = self.classes[edit.class_id].name
+            self.objects[number] = replace(self.objects[number], class_id=edit.class_id, class_name=kind)
+            self._call(number, names.get(number) or self.objects[number].name)
         return ""
 
     def _merge(self, ids: Sequence[int]) -> None:
@@ -196,6 +207,7 @@ class Replay:
         for made in edit.made:
             if (after == made.id).any():
                 self.objects[made.id] = self._made(made.id, made.name, made.class_id, base)
+                self.owners[made.name] = made.id
         for number in ids:
             if (before == number).any():
                 if not (after == number).any():
@@ -205,7 +217,7 @@ class Replay:
                 self.steps.append(Step({number: edit.rest}))
         self._fit([number for number in {*ids, *np.unique(after).tolist()} if number in self.objects])
         if edit.class_id:
-            self._reclass([number for number in ids if number in self.objects], edit.class_id)
+            self._reclass(edit, [number for number in ids if number in self.objects])
         return ""
 
     def _made(self, number: int, name: str, class_id: int, base: Instance | None) -> Instance:

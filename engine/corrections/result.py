@@ -181,18 +181,10 @@ class _Result:
         state = state or self.replay(edits)
         fingerprint = _fingerprint(edits, state.not_applied, ("accept",))
         corrected = CorrectedResult(
-            self.lift,
-            self.classes,
-            tuple(state.objects[number] for number in sorted(state.objects)),
-            state.points,
-            self.made,
-            tuple(state.removed[number] for number in sorted(state.removed)),
-            tuple(edits),
-            state.relabelling,
-            frozenset(state.accepted),
-            state.not_applied,
-            fingerprint,
-        )
+            self.lift, self.classes, tuple(state.objects[number] for number in sorted(state.objects)), state.points,
+            self.made, tuple(state.removed[number] for number in sorted(state.removed)), tuple(edits),
+            state.relabelling, frozenset(state.accepted), state.not_applied, fingerprint,
+        )  # fmt: skip
         if not corrected.changes_labels:
             return corrected
         before = labels_of(state.points.class_id, state.points.instance_id)

@@ -86,13 +86,12 @@ def read_earlier(folder: Path) -> EarlierLift:
     except (PlgsError, OSError, KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         what = f"the names of the earlier lift cannot be read ({error})"
         raise PlgsError("names-unreadable", what, result, _FIX, option="--names-from") from error
-    for one in listed:
-        digits = one.name.removeprefix(f"{one.class_name} ")  # 3 for "chair 3"
-        if digits != one.name and digits.isdecimal() and len(digits) < len(str(LARGEST_NUMBER)):
-            numbers[one.class_name] = max(numbers.get(one.class_name, 0), int(digits))
-        else:
-            numbers.setdefault(one.class_name, 0)
     names, class_names = {one.id: one.name for one in listed}, {one.id: one.class_name for one in listed}
+    numbers = dict.fromkeys(class_names.values(), 0) | numbers
+    given = [name for edit in edits for name in (*edit.names, *(one.name for one in edit.made))]
+    for kind, _, digits in (name.rpartition(" ") for name in (*names.values(), *given)):  # "chair", "3"
+        if kind and digits.isdecimal() and len(digits) < len(str(LARGEST_NUMBER)):
+            numbers[kind] = max(numbers.get(kind, 0), int(digits))
     return EarlierLift(lift.path, names, class_names, points.xyz, points.instance_id, largest, numbers, edits)
 
 

@@ -85,6 +85,29 @@ def test_two_chairs_in_one_box_are_separated(lift: Path) -> None:
     assert found[DESK] == result.made[1]  # an untouched box never moves
 
 
+def test_a_made_name_follows_the_class_and_a_persons_stays(lift: Path) -> None:
+    """A number is never given twice: scripts call objects by their names."""
+    correct(lift, split_chairs)  # chair 1 and chair 2
+    correct(lift, lambda state, _: m.rename(state, CHAIRS, "chair 9"))
+    correct(lift, lambda state, _: m.reclass(state, [CHAIRS, 4, CRUMB], "table"))
+    found = objects(lift)
+    assert (found[DESK].name, found[CRUMB].name, found[4].name) == ("table 1", "table 2", "table 3")
+    assert found[CHAIRS].name == "chair 9" and found[CHAIRS].class_name == "table"
+    with raises_key("no-object") as raised:
+        m.object_of(replayed(lift), "chair 2")
+    assert "It is called table 3 now." in str(raised.value)
+    correct(lift, lambda state, _: m.reclass(state, [4], "chair"))
+    assert objects(lift)[4].name == "chair 10"
+    undo(lift)
+    assert objects(lift)[4].name == "table 3"
+    undo(lift)
+    assert objects(lift)[4].name == "chair 2"
+
+
+def test_an_object_in_many_crumbs_has_them_as_its_parts() -> None:
+    assert sorted(m.parts_of(np.arange(180.0).reshape(60, 3))) == [*range(60)]
+
+
 def test_points_of_a_deleted_object_take_the_label_around_them(lift: Path) -> None:
     crumb, desk = objects(lift)[CRUMB].points, objects(lift)[DESK].points
     correct(lift, lambda state, _: m.delete(state, CRUMB))

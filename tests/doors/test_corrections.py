@@ -87,6 +87,16 @@ def test_an_object_given_a_stuff_class_becomes_plain_points_of_that_class(termin
     assert (shown.semantic == WALL_ID).any()
 
 
+def test_a_made_name_follows_its_class_wherever_it_is_shown(terminal: Terminal) -> None:
+    chair = ids(terminal)["chair"]
+    told = terminal.run(".venv/bin/python -m engine correct lifts/demo reclass 16 cabinet", id16=chair)
+    assert told.strip().endswith(f"reclass {chair} to cabinet; now cabinet 2")
+    assert "cabinet 2  (cabinet, " in terminal.run(LIST) and "chair 1" not in terminal.run(LIST)
+    terminal.run(".venv/bin/python -m engine export lifts/demo --to gltf -o out --objects 'cabinet 2'")
+    [file] = (terminal.folder / "out").glob("*.glb")
+    assert b'"cabinet 2' in file.read_bytes() and b'"chair 1' not in file.read_bytes()
+
+
 def test_merged_objects_get_the_id_of_the_first_one(terminal: Terminal) -> None:
     chair, cabinet = ids(terminal)["chair"], ids(terminal)["cabinet"]
     printed = ".venv/bin/python -m engine correct lifts/demo merge ONE OTHER ..."
@@ -114,6 +124,7 @@ def test_an_object_is_split_into_connected_parts(terminal: Terminal) -> None:
     terminal.run(".venv/bin/python -m engine correct lifts/demo split 15 --parts", id15=chair)
     lift = engine.read_lift(terminal.folder / LIFT)
     assert {one.class_name for one in lift.instances} == {"chair", "cabinet"}, "each has the class of its own masks"
+    assert all(one.name.startswith(one.class_name) for one in lift.instances), "and a name that says so"
     for part in (lift.points, lift.anchors, lift.gaussians):  # which follow the nearest point of the same label
         middles = [np.median(part.xyz[part.instance_id == one.id, 0]) for one in lift.instances]
         assert max(middles) - min(middles) > 0.5, type(part).__name__

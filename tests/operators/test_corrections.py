@@ -56,9 +56,12 @@ def test_renaming_an_object_shows_at_once_and_is_kept(placed: bpy.types.Collecti
 def test_changing_an_objects_class_moves_its_points_to_that_cloud(placed: bpy.types.Collection, mine: Path) -> None:
     count = points_of(placed, CHAIR)
     other = next(row.class_name for row in placed.plgs.instances if row.instance_id == CABINET)
+    boxes_of(placed)[CHAIR].location.x = 7.0  # moved for a crop
     bpy.ops.plgs.reclass_instances(instances=str(CHAIR), class_name=other)
     row = next(row for row in placed.plgs.instances if row.instance_id == CHAIR)
     assert row.class_name == other and points_of(placed, CHAIR) == count
+    assert row.name == f"{other} 2" and boxes_of(placed)[CHAIR].name == f"{other} 2 box"
+    assert boxes_of(placed)[CHAIR].location.x == 7.0
     (cloud,) = [one for one in clouds_of(placed) if one.get("class") == other]
     assert int((ids_of(cloud.data, "instance_id") == CHAIR).sum()) == count
     assert not [one for one in clouds_of(placed) if one.get("class") == "chair"]
