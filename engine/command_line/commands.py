@@ -214,9 +214,11 @@ def frames(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -
     source = source_of(options)
     events.stage("frames", 1, 1, "Making frames")
     progress, output = StageProgress("frames", events, stop), options.output.resolve()
-    scene = open_asked(source, progress)
+    scene = open_asked(source, progress.part(0.0, 0.1))
     try:
-        made = make_frames(scene, source.resolved, output, kinds=options.make, names=options.frames, progress=progress)
+        made = make_frames(
+            scene, source.resolved, output, kinds=options.make, names=options.frames, progress=progress.part(0.1, 1.0)
+        )
     except OSError as error:
         fix = "Name a folder that you can write to, on a disk with free space."
         what = f"cannot be written ({error.strerror})"

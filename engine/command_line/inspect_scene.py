@@ -15,6 +15,9 @@ from ..presets.preset import PRESETS
 from ..scene import Scene, SceneReport, Size, counted, open_asked, report_of, splits_path, survey_scene
 from ..scene_source import SceneSource
 
+OPENED = 0.25
+"""Share of the time in which a scene is opened; then all of its files are looked at."""
+
 
 def inspect_scene(
     asked: SceneSource,
@@ -33,10 +36,10 @@ def inspect_scene(
         raise PlgsError("exists", "the folder for the mended scene already exists", fix, "Name a new one.")
     events.stage("inspect", 1, 2, "Looking at the scene")
     progress = StageProgress("inspect", events, stop)
-    scene = opened = open_asked(asked, progress)
+    scene = opened = open_asked(asked, progress.part(0.0, OPENED))
     report, refusal = None, None
     try:
-        survey = survey_scene(scene, progress)
+        survey = survey_scene(scene, progress.part(OPENED, 1.0))
         report, scene = report_of(survey), survey.scene
     except PlgsError as error:
         refusal = error

@@ -176,7 +176,7 @@ def bake_and_evaluate(
         judgement = judge(seen, scene, views, held_back, progress=progress, scratch=folder.path)
         judgement.report(events)
         baker.calibration = judgement.calibration
-    with stages.stage("bake") as progress:
+    with stages.stage("bake", "" if wanted else "Scoring the held-out frames") as progress:
         for done, frame in enumerate(frames, start=1):
             began = time.monotonic()
             size = frame.size if scored is None or frame.name in baked_names else size_within(frame.size, scored)

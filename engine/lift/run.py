@@ -73,6 +73,8 @@ NO_VOTES = (
     "labels come from the trained decoders, not from votes of the views: "
     'votes need objects = "agreement", or a matcher that returns label_maps, and one_class_an_object = true'
 )
+CHECKED = (0.0, 0.25, 0.35, 0.5, 0.95, 1.0)
+"""Shares of the stage "check" at which its parts begin, and its end: opening takes a third of looking at all files."""
 VOTED, SIFTED = 0.8, 0.83
 """Shares of the stage "result" after voting (67 of 92 s in a small lift), and after points were left out."""
 CODE = "code"
@@ -219,18 +221,19 @@ def checked_frames(
     request = folder.request
     if preset.labels == "votes" and not preset.can_vote:
         events.warning(NO_VOTES)
-    scene, before = open_scene_to_lift(request, progress), masks_last_run(folder)
+    opening, comparing, choosing, looking, remembering = map(progress.part, CHECKED, CHECKED[1:])
+    scene, before = open_scene_to_lift(request, opening), masks_last_run(folder)
     if checkpoint is not None:
-        refuse_changed(folder, scene, progress)
+        refuse_changed(folder, scene, comparing)
         before = str(checkpoint.state.get(MASKS, before))  # scene.json may be of a run that was killed since
-    frames = sets_of_frames(scene, request, checkpoint, progress, events)
-    survey = survey_scene(frames.chosen, progress, preset.size)
+    frames = sets_of_frames(scene, request, checkpoint, choosing, events)
+    survey = survey_scene(frames.chosen, looking, preset.size)
     for warning in (*frames.chosen.warnings, *survey.warnings):
         events.warning(warning)
     for each in frames.chosen.inferred:
         log.info("inferred: %s: %s", each.about, each)
     findings = ask_what_is_wrong(folder, survey.scene, preset.size, events, stops=checkpoint is None)
-    masks_changed = masks_differ(before, scene, remember_scene(folder, scene, events.warning, progress))
+    masks_changed = masks_differ(before, scene, remember_scene(folder, scene, events.warning, remembering))
     return frames.only(survey.scene), masks_changed, findings
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import MEMORY_IS_GONE, PlgsError
-from ..job.progress import unwatched
+from ..job.progress import part_of, unwatched
 from ..posed.classes import VOID
 from ..posed.frames import size_within
 from ..posed.image_header import check_image_file
@@ -25,6 +25,7 @@ from .pixels import distinct_ids, largest_of_16_bits
 from .view import Progress
 
 _COLOURS_DECODED = 16
+_DECODED = 0.85  # share of the time for all files; the rest is for the overlap
 _MEDIAN_STEP = 7  # every seventh pixel is enough for the median depth
 _LOOKS_LIKE_METRES = 0.1  # metres; a scene in millimetres has some depth above this
 _LOOKS_TOO_FAR = 15.0
@@ -85,7 +86,7 @@ def survey_scene(scene: Scene, progress: Progress = unwatched, keep_within: Size
     and 16 of them are decoded. Frames whose files cannot be read, up to half, are named in the warnings. Raises
     PlgsError for the first fault that prevents a lift. Masks are kept in memory at the size that frames have within
     ``keep_within``, so that reading them later at this size decodes no file."""
-    looks, scene, warnings = _readable(scene, progress, keep_within)
+    looks, scene, warnings = _readable(scene, part_of(progress, 0.0, _DECODED, 100), keep_within)
     facts = [fact for fact, *_ in looks]
     thumbnails = [thumbnail for _, thumbnail, _ in looks if thumbnail is not None]
     depths = [fact.depth for fact in facts if fact.depth is not None]
@@ -99,7 +100,7 @@ def survey_scene(scene: Scene, progress: Progress = unwatched, keep_within: Size
     if classes_seen == {VOID}:  # without any masks the set is empty, which is allowed
         fix = "Give masks that have segments in the frames to train on."
         raise PlgsError("masks-empty", "the masks are empty", scene.folder, fix)
-    overlap_warnings = _overlap_warnings(scene, thumbnails, progress) if depths else ()
+    overlap_warnings = _overlap_warnings(scene, thumbnails, part_of(progress, _DECODED, 1.0, 100)) if depths else ()
     return Survey(scene, tuple(facts), (*warnings, *_pixel_warnings(facts), *overlap_warnings))
 
 

@@ -180,7 +180,7 @@ def with_estimated_depth(
     seen = {frame.name: seen_points(frame, points) for frame in frames} if points is not None and has_points else {}
     inferred: tuple[Inferred, ...] = ()
     if seen:
-        files, usual, inferred = _fitting(find, files, usual, pictured, seen)
+        files, usual, inferred = _fitting(partial(find, progress=unwatched), files, usual, pictured, seen)
         if error is not None and not files:
             raise error
     else:

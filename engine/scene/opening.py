@@ -71,7 +71,8 @@ def open_asked(source: SceneSource, progress: Progress = unwatched) -> Scene:
 
 def _opened(source: SceneSource, progress: Progress) -> Scene:
     parts = (0.0, 0.45), (0.45, 0.55), (0.55, 1.0)  # shares of the time, measured on folders with COCO's masks
-    of_shots, of_frames, of_masks = (part_of(progress, *part) for part in parts)
+    of_scene, fitting = (part_of(progress, 0.0, 0.5), part_of(progress, 0.5, 1.0)) if source.depth else [progress] * 2
+    of_shots, of_frames, of_masks = (part_of(of_scene, *part) for part in parts)
     place = Path(source.scene)
     for path in (place, source.masks, source.detections, source.depth):
         if path is not None:
@@ -121,9 +122,9 @@ def _opened(source: SceneSource, progress: Progress) -> Scene:
     if source.depth is not None:
         maps = Path(source.depth)
         frames, mapless, of_depth = (
-            with_mesh_depth(frames, maps, scale * turn, progress)
+            with_mesh_depth(frames, maps, scale * turn, fitting)
             if is_mesh(maps)
-            else with_estimated_depth(frames, maps, points, pictured, progress)
+            else with_estimated_depth(frames, maps, points, pictured, fitting)
         )
         gone, inferred = (*gone, *mapless), (*inferred, *of_depth)
     frames, blind, of_blind = complete(frames, "readable depth", lambda frame: frame.read_depth is not None)

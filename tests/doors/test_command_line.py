@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 from engine.command_line.main import main
+from engine.job import progress
 from engine.presets.preset import PRESETS
 from tests.conftest import HAS_BLENDER
 from tests.doors.terminal import ROOT, Terminal
@@ -88,6 +89,24 @@ def test_progress_json_prints_nothing_but_events_to_standard_output(shell: Termi
             assert [each["seq"] for each in events] == [*range(1, len(events) + 1)]
             assert code == 0 or (ran.stderr.startswith("error: ") and events[-1]["exit_code"] == 2)
         assert (shell.folder / f"{scene}.jsonl").read_text() == ran.stdout
+
+
+@pytest.mark.parametrize("command", [
+    "", "inspect scans/room", "frames scans/room -o out", "bake lifts/demo --frames all", "correct lifts/demo remove 1",
+    "export lifts/demo --to gltf -o out", "export lifts/demo --to surface -o out", "export lifts/demo --to usd -o out",
+])  # fmt: skip
+def test_a_stage_never_counts_backwards(command: str, terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the lift itself, without a command: its events have the end of each part of a stage, however fast."""
+    monkeypatch.setattr(progress, "REPORT_EVERY_S", 0.0)
+    monkeypatch.chdir(terminal.folder)
+    events = Path("said.jsonl" if command else "lifts/demo/events.jsonl")
+    if command:
+        assert main([*command.split(), "--events", str(events)]) == 0
+    shares: dict[str, list[float]] = {}
+    for each in map(json.loads, events.read_text().splitlines()):
+        if each["event"] == "progress":
+            shares.setdefault(each["stage"], []).append(each["step"] / each["steps"])
+    assert shares and {name: told for name, told in shares.items() if told != sorted(told)} == {}
 
 
 def test_evaluate_scores_masks_of_other_programs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

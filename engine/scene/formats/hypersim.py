@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import PlgsError, lacks_part
+from ...job.progress import part_of
 from ...posed.frames import Camera
 from ...posed.image_header import read_image_header
 from ...posed.layout import shown_files
@@ -155,7 +156,8 @@ def _read(place: Path, progress: Progress) -> Capture:
     metres = _metres_a_unit(place / "_detail" / "metadata_scene.csv")
     rays, inferred = _read_rays(place)
     found, blind = [], list[str]()
-    for camera in sorted(path for path in shown_files(place / "_detail", "cam_*") if path.is_dir()):
+    cameras = sorted(path for path in shown_files(place / "_detail", "cam_*") if path.is_dir())
+    for row, camera in enumerate(cameras):
         positions = read_hdf5(camera / "camera_keyframe_positions.hdf5", 2)
         turns = read_hdf5(camera / "camera_keyframe_orientations.hdf5", 3)
         if positions.shape[1:] != (3,) or turns.shape != (len(positions), 3, 3):
@@ -164,7 +166,8 @@ def _read(place: Path, progress: Progress) -> Capture:
         previews = shown_files(place / "images" / f"scene_{camera.name}_final_preview", "frame.*.tonemap.jpg")
         shown = {int(digits) for path in previews if (digits := path.name.split(".")[1]).isdecimal()}
         blind += [f"{camera.name}_{number:04d}" for number in sorted(shown - {number for number, *_ in pictures})]
-        for number, colour, depth in watched(pictures, progress):
+        own = part_of(progress, row / len(cameras), (row + 1) / len(cameras), len(cameras) * len(pictures))
+        for number, colour, depth in watched(pictures, own):
             if number >= len(positions):
                 raise PlgsError("no-pose", f"frame {number} has no pose", camera, _FIX)
             matrix = np.column_stack([turns[number], positions[number] * metres]).astype(np.float64)
