@@ -260,7 +260,8 @@ class RemoveObjects(EditByEngine):
         """One line for the user about the removed objects."""
         if self.was_cancelled:
             return "The removal was cancelled"
-        return f"{plural(0 if self._edit is None else len(self._edit.objects), 'object')} removed"
+        removed = f"{plural(0 if self._edit is None else len(self._edit.objects), 'object')} removed"
+        return "; ".join([removed, *self.follower.progress.warnings])
 
 
 def split_by_views(root: bpy.types.Collection, instance: int) -> SplitByViews:

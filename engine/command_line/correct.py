@@ -90,7 +90,7 @@ def correct(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
         from ..plates import remove
 
         events.stage("remove", 1, 1, "Removing objects")
-        edit, corrected = remove(folder, options.id, StageProgress("remove", events, stop))
+        edit, corrected = remove(folder, options.id, StageProgress("remove", events, stop), events.warning)
     else:
         seen = _parts_seen(options, folder, StageProgress("split", events, stop))
         edit, corrected = correct(folder.path, partial(_edit, options, folder, seen))

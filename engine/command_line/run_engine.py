@@ -115,7 +115,8 @@ def run_bake(
             from ..plates import without as without_objects
 
             events.stage("remove", 1, 3, "Removing objects")
-            corrected = without_objects(folder, without, StageProgress("remove", events, stop))
+            progress = StageProgress("remove", events, stop)
+            corrected = without_objects(folder, without, progress, events.warning)
         options = BakeOptions(tuple(layers), output, channels, replace, corrected)
         if cameras is not None:
             baked.append(bake_cameras(folder, cameras, events, stop, options))

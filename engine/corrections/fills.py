@@ -35,10 +35,10 @@ _FARTHEST = 1e4
 @dataclass(frozen=True, eq=False)
 class Fill:
     """What replaces removed objects. ``cells`` int32 [C, 3] are the cells, counted in CELL from the world's origin,
-    from which stuff is removed. The new Gaussians: ``xyz`` float32 [P, 3] metres, ``scale`` float32 [P, 3] standard
-    deviations in metres, ``turn`` float32 [P, 4] unit quaternions wxyz, ``rgb`` float32 [P, 3] sRGB in [0, 1],
-    ``label`` int32 [P] (see `edits`), ``guessed`` float32 [P], 1 where no photo saw their place, and ``is_point`` bool
-    [P], which of them are semantic points, too."""
+    from which stuff is removed, and things that the fill draws anew. The new Gaussians: ``xyz`` float32 [P, 3] metres,
+    ``scale`` float32 [P, 3] standard deviations in metres, ``turn`` float32 [P, 4] unit quaternions wxyz, ``rgb``
+    float32 [P, 3] sRGB in [0, 1], ``label`` int32 [P] (see `edits`), ``guessed`` float32 [P], 1 where no photo saw
+    their place, and ``is_point`` bool [P], which of them are semantic points, too."""
 
     cells: NDArray[np.int32]
     xyz: NDArray[np.float32]
@@ -49,9 +49,9 @@ class Fill:
     guessed: NDArray[np.float32]
     is_point: NDArray[np.bool_]
 
-    def clears(self, xyz: NDArray[np.floating]) -> NDArray[np.bool_]:
-        """Return which of ``xyz`` [N, 3] lie in a cell that is cleared, bool [N]."""
-        return np.isin(cell_keys(cells_of(xyz)), cell_keys(self.cells))
+    def clears(self, xyz: NDArray[np.floating], label: NDArray[np.int32]) -> NDArray[np.bool_]:
+        """Return which of ``xyz`` [N, 3] with the labels ``label`` [N] are removed from the cells, bool [N]."""
+        return ((label <= 0) | np.isin(label, self.label)) & np.isin(cell_keys(cells_of(xyz)), cell_keys(self.cells))
 
     def points(self) -> tuple[SemanticPoints, Labels]:
         """Return the semantic points among the Gaussians, and their labels."""

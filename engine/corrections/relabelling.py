@@ -60,8 +60,8 @@ def labels_of(class_id: NDArray[np.integer], instance_id: NDArray[np.integer]) -
 @dataclass(frozen=True, eq=False)
 class Step:
     """One change of labels. ``table`` maps labels that change as a whole. ``points`` holds, by old label, the points
-    that had it, float32 [N, 3], and their new labels, int32 [N]. ``fill`` belongs to a removal: all stuff in the cells
-    that it clears is removed, too."""
+    that had it, float32 [N, 3], and their new labels, int32 [N]. ``fill`` belongs to a removal: what it replaces in
+    its cells is removed, too."""
 
     table: Mapping[int, int] = field(default_factory=dict)
     points: Mapping[int, tuple[NDArray[np.float32], Labels]] = field(default_factory=dict)
@@ -77,7 +77,7 @@ class Step:
             if len(rows):
                 label[rows] = after[nearest(xyz[rows], points)[0]]
         if self.fill is not None:
-            label[(label <= 0) & self.fill.clears(xyz)] = GONE
+            label[self.fill.clears(xyz, label)] = GONE
 
 
 def step_of(xyz: NDArray[np.float32], before: Labels, after: Labels) -> Step:
@@ -115,7 +115,7 @@ class Relabelling:
         after = label.copy()
         changes = np.isin(label, sorted(self.sources))
         for _, fill in self.fills:
-            changes |= fill.clears(xyz)
+            changes |= fill.clears(xyz, label)
         rows = np.flatnonzero(changes)
         some, changed = xyz[rows], after[rows]
         for step in self.steps[first:]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from hashlib import sha256
@@ -29,6 +29,7 @@ from .completion import complete
 from .fill import cleared_cells, gaussians_of, joined, replaced_gaussians
 from .leaving import leaving_gaussians, leaving_points, other_points, with_legs
 from .planes import ON_PLANE, Plane, find_planes
+from .remains import remains_of
 from .texture import texture_around
 from .views import PlateView, frames_around, read_views
 
@@ -40,11 +41,17 @@ READ = 0.7
 """The share of the time that the photos take."""
 
 
-def remove(folder: LiftFolder, objects: Sequence[str], progress: Progress = unwatched) -> tuple[Edit, CorrectedResult]:
+Tell = Callable[[str], object]
+"""Takes a line for a person about what a removal leaves undone."""
+
+
+def remove(
+    folder: LiftFolder, objects: Sequence[str], progress: Progress = unwatched, tell: Tell = str
+) -> tuple[Edit, CorrectedResult]:
     """Take objects, given by ids or names, out of a finished lift, by an edit like any other. Returns the edit and the
     new result. Raises PlgsError if there is no such object, if the scene is gone, and if the lift is corrected
     meanwhile; OSError, and what ``progress`` raises. Nothing is then changed."""
-    edit, known = _removal(folder, objects, progress)
+    edit, known = _removal(folder, objects, progress, tell)
 
     def make(state: Replay, _: int) -> Edit:
         if read_edits(folder.path) != known:
@@ -55,13 +62,21 @@ def remove(folder: LiftFolder, objects: Sequence[str], progress: Progress = unwa
     return correct(folder.path, make)
 
 
-def without(folder: LiftFolder, objects: Sequence[str], progress: Progress = unwatched) -> CorrectedResult:
+def without(
+    folder: LiftFolder, objects: Sequence[str], progress: Progress = unwatched, tell: Tell = str
+) -> CorrectedResult:
     """Return the corrected result without objects, as `remove` makes it, but save no edit. Raises like `remove`."""
-    edit, _ = _removal(folder, objects, progress)
+    edit, _ = _removal(folder, objects, progress, tell)
+    return _shown_without(folder, edit)
+
+
+def _shown_without(folder: LiftFolder, edit: Edit) -> CorrectedResult:
     return read_corrected(folder.path, further=[replace(edit, uid=edit.fill)])  # the same plate has the same uid
 
 
-def _removal(folder: LiftFolder, objects: Sequence[str], progress: Progress) -> tuple[Edit, tuple[Edit, ...]]:
+def _removal(
+    folder: LiftFolder, objects: Sequence[str], progress: Progress, tell: Tell
+) -> tuple[Edit, tuple[Edit, ...]]:
     """Return the edit that removes the objects, and the edits before it. Write the edit's fill to a file if need be."""
     folder.refuse_read_only()
     state, corrected = replayed(folder.path), read_corrected(folder.path)
@@ -74,14 +89,20 @@ def _removal(folder: LiftFolder, objects: Sequence[str], progress: Progress) -> 
     files = {str(file.path): file.sha256 for file in read_manifest(folder.result_path).files}
     decides = ids, corrected.fingerprint, files.get(MODEL), code_digest("engine")
     name = sha256(repr(decides).encode()).hexdigest()[:16]
-    path = path_of(folder.path, name)
+    path, views = path_of(folder.path, name), list[PlateView]()
     try:
         read_fill(path)
         digest = sha256(path.read_bytes()).hexdigest()
     except PlgsError:  # there is none, or a damaged one
-        digest = write_fill(path, fill_of(folder, corrected, ids, progress))
+        fill, views = fill_of(folder, corrected, ids, progress)
+        digest = write_fill(path, fill)
         _drop_unused(folder.path)
-    return making.remove(state, ids, name, digest), corrected.edits
+    edit = making.remove(state, ids, name, digest)
+    after = _shown_without(folder, edit)
+    baker = read_baker(folder, after.classes, after) if views else None
+    for line in remains_of(corrected, after, ids, baker, views):
+        tell(line)
+    return edit, corrected.edits
 
 
 def _drop_unused(lift: Path) -> None:
@@ -93,8 +114,11 @@ def _drop_unused(lift: Path) -> None:
             path.unlink()
 
 
-def fill_of(folder: LiftFolder, corrected: CorrectedResult, ids: Sequence[int], progress: Progress) -> Fill:
-    """Return what replaces objects ``ids``. Raises PlgsError for unreadable photos, and what ``progress`` raises."""
+def fill_of(
+    folder: LiftFolder, corrected: CorrectedResult, ids: Sequence[int], progress: Progress
+) -> tuple[Fill, list[PlateView]]:
+    """Return what replaces objects ``ids``, and the photos around them. Raises PlgsError for unreadable photos, and
+    what ``progress`` raises."""
     scene = scene_of_lift(folder)
     baker = read_baker(folder, scene.classes, corrected)
     points = {number: corrected.points.xyz[corrected.points.instance_id == number] for number in ids}
@@ -113,7 +137,7 @@ def fill_of(folder: LiftFolder, corrected: CorrectedResult, ids: Sequence[int], 
         begin, end = (READ + (1 - READ) * done / len(groups) for done in (number, number + 1))
         parts.append(room.without(views, xyz, part_of(progress, begin, end, 100)))
     progress(1, 1)
-    return joined(parts)
+    return joined(parts), views
 
 
 def _groups(points: Sequence[NDArray[np.float32]]) -> list[NDArray[np.float32]]:
@@ -167,9 +191,9 @@ class _Room:
             if texture is not None and completed:
                 parts.append(gaussians_of(texture, completed))
                 gone |= replaced_gaussians(self.centres, self.label, texture, completed, others)
-        stuff = self.label <= 0
-        cells = cleared_cells(self.centres, gone & stuff, ~gone & stuff)
-        return replace(joined(parts), cells=cells)
+        fill = joined(parts)
+        replaced = (self.label <= 0) | np.isin(self.label, fill.label)
+        return replace(fill, cells=cleared_cells(self.centres, gone & replaced, ~gone & replaced))
 
     def _is_stuff(self, plane: Plane, xyz: NDArray[np.floating], label: NDArray[np.int32]) -> bool:
         on = np.abs(plane.local(xyz)[:, 2]) < ON_PLANE

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -37,6 +38,8 @@ THROUGH = 0.1
 """Metres behind a plane at which a photo that measures them looks through it."""
 STANDS_OVER = 0.6
 """Metres above a plane within which what leaves stands over it."""
+FLAT_THING, LOW = 0.8, 0.04
+"""Least share of a thing's pixels that lie within ``LOW`` metres of a plane for it to lie flat there, as a rug does."""
 
 Mask = NDArray[np.bool_]
 
@@ -102,7 +105,8 @@ def texture_around(
     ``solid`` plane are not inside."""
     behind = np.concatenate([plane.local(leaving.xyz)[:, :2], *(_behind(plane, view) for view in views)])
     start, end = np.percentile(behind, (1, 99), axis=0) + [[-0.3], [0.3]]
-    coarse = _look(plane, solid, views, start, end, COARSE)
+    flat = _flat_things(plane, views)
+    coarse = _look(plane, solid, views, flat, start, end, COARSE)
     if coarse is None:
         return None
     near = coarse.hole() | coarse.poorly | (coarse.below(leaving) & binary_dilation(coarse.seen, np.ones((5, 5))))
@@ -114,7 +118,8 @@ def texture_around(
     middle = plane.world((first + last) / 2)
     sizes = [z / view.camera.fx for view in views for _, z in [view.camera.project(middle)] if z > 0.3]
     texel = float(np.clip(np.percentile(sizes, 15), FINEST, COARSEST)) if sizes else COARSEST
-    return _look(plane, solid, views, first, last, max(texel, float(np.sqrt((last - first).prod() / MOST_TEXELS))))
+    texel = max(texel, float(np.sqrt((last - first).prod() / MOST_TEXELS)))
+    return _look(plane, solid, views, flat, first, last, texel)
 
 
 def _behind(plane: Plane, view: PlateView) -> NDArray[np.float64]:
@@ -127,6 +132,17 @@ def _behind(plane: Plane, view: PlateView) -> NDArray[np.float64]:
     found = times > 0.98  # on the removed objects, or behind them
     ends = plane.local(view.camera.centre + times[found, None] * ways[found])[:, :2]
     return ends[np.linalg.norm(times[found, None] * ways[found], axis=1) < FARTHEST]
+
+
+def _flat_things(plane: Plane, views: Sequence[PlateView]) -> set[int]:
+    """Return the ids of things that stay and lie flat on the plane."""
+    on, all_of = Counter[int](), Counter[int]()
+    for view in views:
+        of_thing = (view.label > 0) & (view.depth > 0) & ~view.beside
+        height = plane.local(view.camera.unproject(view.depth)[of_thing])[:, 2]
+        all_of.update(view.label[of_thing].tolist())
+        on.update(view.label[of_thing][np.abs(height) < LOW].tolist())
+    return {one for one in on if on[one] > FLAT_THING * all_of[one]}
 
 
 class _Sums:
@@ -168,11 +184,12 @@ class _Sums:
 
 
 def _look(
-    plane: Plane, solid: Sequence[Plane], views: Sequence[PlateView], start: NDArray[np.float64],
-    end: NDArray[np.float64], texel: float,
+    plane: Plane, solid: Sequence[Plane], views: Sequence[PlateView], flat: Collection[int],
+    start: NDArray[np.float64], end: NDArray[np.float64], texel: float,
 ) -> Texture | None:  # fmt: skip
-    """Return the texture, in texels of ``texel`` metres, of the rectangle from ``start`` to ``end`` of a plane. Returns
-    None if no photo shows it, or if it is a thing's side. What is behind a ``solid`` plane is not inside."""
+    """Return the texture, in texels of ``texel`` metres, of the rectangle from ``start`` to ``end`` of a plane on which
+    the ``flat`` things lie. Returns None if no photo shows it, or if it is a thing's side. What is behind a ``solid``
+    plane is not inside."""
     w, h = np.ceil((end - start) / texel).astype(int).tolist()
     xyz = grid(plane, start, texel, (h, w)).reshape(-1, 3)
     sums, inside = _Sums(h * w), np.ones(h * w, np.bool_)
@@ -185,9 +202,11 @@ def _look(
     if not votes:
         return None
     most = max(votes, key=lambda one: float(votes[one].sum()))
-    if most > 0 and not plane.is_floor:
+    if most > 0 and most not in flat and not plane.is_floor:
         return None  # a table's top carries things, its side does not
-    votes = {one: each for one, each in votes.items() if one == most or (one < 0 and most < 0)}  # no thing lies flat
+    lies = most < 0 or most in flat  # else it is a table's top: what photos call floor there is noise
+    also = flat if plane.is_floor else ()  # a picture is no wall: behind a television there is none
+    votes = {one: each for one, each in votes.items() if one == most or one in also or (one < 0 and lies)}
     names = np.array(sorted(votes), np.int32)
     counted = np.stack([votes[one] for one in names.tolist()])
     seen = counted.any(axis=0).reshape(h, w)

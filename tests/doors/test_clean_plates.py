@@ -193,6 +193,28 @@ def shadowed(tmp_path_factory: pytest.TempPathFactory) -> list[Gaussians]:
     return [before, engine.read_lift(lift.path).gaussians]
 
 
+def test_a_rug_that_is_a_thing_goes_on_under_what_stood_on_it(tmp_path: Path) -> None:
+    rug_id, (low, high) = 9, (CHAIR[0] - 0.3, CHAIR[1] + 0.3)
+
+    def with_rug(view: TinyView, pose: np.ndarray) -> TinyView:
+        xyz = places(view, pose)
+        rug = (view.semantic == FLOOR_ID) & ((xyz > low) & (xyz < high))[..., :2].all(axis=-1)
+        semantic, instance = np.where(rug, rug_id, view.semantic), np.where(rug, 3, view.instance)
+        return replace(view, semantic=semantic.astype(np.int32), instance=instance.astype(np.int32))
+
+    scene = tiny_scene.write_tiny_scene(
+        tmp_path / "room", frames=FRAMES, shown=with_rug,
+        categories=[*tiny_scene.CATEGORIES, {"id": rug_id, "name": "rug", "isthing": 1}],
+    )  # fmt: skip
+    with presets_as(preview=TINY):
+        lift = lift_into(tmp_path / "lift", LiftRequest(scene=scene, bake="none"))
+    told = list[str]()
+    plates.remove(lift, ["chair 1"], tell=told.append)
+    shown = engine.read_lift(lift.path).gaussians
+    below = (np.abs(shown.xyz - [1.5, 1.3, 0.0]) < [0.25, 0.25, 0.03]).all(axis=1)
+    assert told == [] and below.sum() > 500 and (shown.class_id[below] == rug_id).mean() > 0.8
+
+
 def test_what_is_guessed_is_never_brighter_than_what_photos_saw() -> None:
     """A wall that grows brighter towards a hole at its end, beyond which photos saw only a narrow strip."""
     seen = np.ones((60, 80), bool)
@@ -375,7 +397,7 @@ def test_a_removal_that_was_killed_changes_nothing_and_can_be_made_again(
 
 
 def test_a_fill_is_not_reused_after_the_engine_changed(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(plates.removal, "fill_of", lambda *_: NOTHING)
+    monkeypatch.setattr(plates.removal, "fill_of", lambda *_: (NOTHING, []))
     number, folder = str(chair(terminal)), LiftFolder.open(terminal.folder / LIFT)
     names = {plates.remove(folder, [number])[0].fill}
     undo(folder.path)
@@ -385,7 +407,7 @@ def test_a_fill_is_not_reused_after_the_engine_changed(terminal: Terminal, monke
 
 
 def test_only_the_last_four_plates_and_used_fills_are_kept(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(plates.removal, "fill_of", lambda *_: NOTHING)
+    monkeypatch.setattr(plates.removal, "fill_of", lambda *_: (NOTHING, []))
     folder = LiftFolder.open(terminal.folder / LIFT)
     one, other = (str(each.id) for each in engine.read_lift(folder.path).instances)
     for number in range(5):  # names decide about a plate, too
@@ -429,8 +451,11 @@ def test_stacked_objects_are_removed_together_or_in_turn(
     listed = engine.read_lift(lift.path).instances
     both = [one.id for one in sorted(listed, key=lambda one: one.class_id == CHAIR_ID)]  # what stands below first
     assert len(both) == 2
+    told = list[str]()
     for some in [both] if together else [[one] for one in both]:
-        plates.remove(lift, [str(number) for number in some])
+        plates.remove(lift, [str(number) for number in some], tell=told.append)
+    hangs = [f"nothing carries chair 1 any more: perhaps remove them, too ({both[1]})"]
+    assert told == ([] if together else hangs)
     edits = json.loads((lift.path / "corrections.json").read_text())["edits"]
     assert all(len(read_fill(path_of(lift.path, edit["fill"])).xyz) > 10000 for edit in edits), "each is filled"
     shown = engine.read_lift(lift.path).gaussians
