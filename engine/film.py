@@ -129,6 +129,17 @@ def depth_scene(scene: Scene, folder: Path, wish: Wish, events: EventWriter, sto
         events.warning(warning)
 
 
+def refuse_masks(folder: Path, wish: Wish) -> None:
+    """Raise PlgsError, before a scene is opened, if `mask_scene` has no network for masks in ``folder``, or others are
+    there."""
+    from .networks import refuse_missing
+    from .segment import masks_in, refuse_others
+
+    refuse_others(folder)
+    if not masks_in(folder):  # finished ones need no network
+        refuse_missing(_resolved(wish.masks), "masks are made", download=wish.download)
+
+
 def mask_scene(scene: Scene, folder: Path, wish: Wish, events: EventWriter, stop: StopSignal) -> int | None:
     """Make a scene's masks in ``folder`` with the network ``wish.masks``, or continue an earlier run. Returns how many
     frames have them, or None if all had them before. Raises PlgsError for a bad network or other masks."""

@@ -49,6 +49,19 @@ def quiet_transformers(name: str, download: bool, part: str, purpose: str) -> No
     logging.disable_progress_bar()
 
 
+def refuse_missing(name: str, purpose: str, *, download: bool) -> None:
+    """Raise PlgsError, before any work, if network ``name`` could not be loaded later for its ``purpose``: it is not on
+    this machine and may not be fetched or is not offered, or transformers is missing."""
+    quiet_transformers(name, download, "segment", purpose)
+    if not download:
+        model_folder(name, download=False)
+    elif not is_here(name):
+        from huggingface_hub import HfApi
+
+        model, _, revision = name.partition("@")
+        _ask_hub(HfApi(), model, revision or None)
+
+
 def is_here(name: str) -> bool:
     """Whether a network is on this machine already, found out without asking the hub."""
     if Path(name).is_dir():

@@ -118,6 +118,7 @@ def detections_of(class_logits: torch.Tensor, mask_probabilities: torch.Tensor) 
 TABLE, FOLDER, MADE_BY, DETECTIONS = "panoptic.json", "panoptic", "made_by.json", "detections.json"
 LEFT_OUT = "left_out"
 """The key in the table of a frame that was given an empty mask, as it was not wanted."""
+_OTHERS_FIX = "Remove these masks, or write into another folder."
 _OTHER_MASKS = ("m2f_semantics", "m2f_notta_semantics", "masks")
 Progress = Callable[[int, int, int], object]
 """Called after each frame with the number done, the total, and the number made in this run. Its errors end the work."""
@@ -155,28 +156,37 @@ class Job:
             self.own.discard()
 
 
+def masks_in(folder: Path) -> list[str]:
+    """Return the names of the files and folders with masks, of any origin, in a scene's ``folder``."""
+    return [name for name in (TABLE, FOLDER, DETECTIONS, *_OTHER_MASKS) if (folder / name).exists()]
+
+
+def refuse_others(folder: Path) -> None:
+    """Raise PlgsError if a scene's ``folder`` has masks that `begin_job` did not begin."""
+    if (others := masks_in(folder)) and not (folder / FOLDER / MADE_BY).exists():
+        raise PlgsError("has-masks", f"there are masks already ({others[0]})", folder, _OTHERS_FIX)
+
+
 def begin_job(folder: Path, model: str, frames: Sequence[Frame], wanted: Collection[str] | None = None) -> Job:
     """Begin masks of the frames ``wanted`` (None: all) in ``folder``, or continue there. Raises PlgsError, and
     overwrites nothing, for masks of other programs, another ``model`` or other photos."""
+    refuse_others(folder)
     made_by, of_files = folder / FOLDER / MADE_BY, digests_of_files([(frame.colour_path,) for frame in frames])
     named = [*zip((frame.name for frame in frames), of_files, strict=True)]
     photos = sha256(repr(named).encode()).hexdigest() if all(of_files) else ""  # not known
-    fix = "Remove these masks, or write into another folder."
     own = OwnFiles(folder)
-    if (content := read_note(made_by, fix)) is not None:
+    if (content := read_note(made_by, _OTHERS_FIX)) is not None:
         if content.get("model") != model or content.get("frames") != len(frames):
             what = f"there are already masks of {content.get('frames')} frames by {content.get('model')}"
-            raise PlgsError("other-masks", what, folder, fix)
+            raise PlgsError("other-masks", what, folder, _OTHERS_FIX)
         if photos and content.get("photos", "") not in ("", photos):
-            raise PlgsError("photos-changed", "the photos have changed since masks of them were made here", folder, fix)
+            what = "the photos have changed since masks of them were made here"
+            raise PlgsError("photos-changed", what, folder, _OTHERS_FIX)
         left_out = _left_out(folder / TABLE)
         is_finished = left_out is not None and not (left_out if wanted is None else left_out.intersection(wanted))
         if not is_finished:  # which needs no folder that can be written to
             own.begin("masks", {"model": model}, among_others=True)
         return Job(folder, own, True, is_finished)
-    others = [name for name in (TABLE, FOLDER, DETECTIONS, *_OTHER_MASKS) if (folder / name).exists()]
-    if others:
-        raise PlgsError("has-masks", f"there are masks already ({others[0]})", folder, fix)
     try:
         record = {"model": model, "frames": len(frames), "photos": photos, **licence_of(model)}
         with own.begin("masks", {"model": model}, among_others=True):

@@ -245,11 +245,13 @@ def _scene_of(options: argparse.Namespace) -> Scene:
 
 def segment(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
     """Make masks of a scene, or continue where an earlier run stopped."""
-    from ..film import Wish, mask_scene, scene_folder
+    from ..film import Wish, mask_scene, refuse_masks, scene_folder
 
-    scene = _scene_of(options)
     folder: Path = options.output or scene_folder(options.scene)
     wish = Wish(masks=options.model, download=options.download, merge=options.merge, frames=options.frames)
+    if options.scene.exists():
+        refuse_masks(folder, wish)
+    scene = _scene_of(options)
     made = mask_scene(scene, folder, wish, events, stop)
     count = len(scene.frames) if made is None else made
     answer: dict[str, Json] = {"folder": str(folder), "frames": len(scene.frames), "masks": count}

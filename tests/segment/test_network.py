@@ -23,7 +23,7 @@ pytest.importorskip("transformers", reason="needs transformers (requirements/seg
 from engine.known_networks import KNOWN
 from engine.mask_networks import load_model  # noqa: E402
 from engine.networks import loading, model_folder  # noqa: E402
-from tests.raises_key import raises_key
+from tests.raises_key import raises_key, worded
 from tests.segment.tiny_mask2former import NAMES, save_tiny_mask2former  # noqa: E402
 
 
@@ -57,6 +57,20 @@ def test_masks_of_large_pictures_are_smaller_with_the_same_aspect(model: Path) -
 def test_no_network_is_downloaded_without_consent() -> None:
     with raises_key("not-downloaded nobody/no-such-model --download"):
         load_model("nobody/no-such-model", download=False)
+
+
+def test_a_missing_network_is_told_before_any_frame_is_looked_at(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("engine.command_line.commands._scene_of", lambda _: pytest.fail("the scene was opened"))
+    for more, told in ([], "not-downloaded"), (["--download"], "hub-silent"):
+        monkeypatch.setattr("huggingface_hub.HfApi.model_info", raise_timeout)
+        assert main(["segment", str(tmp_path), "--frames", "auto", "--model", "nobody/no-such-model", *more]) == 2
+        assert worded(f"{told} nobody/no-such-model").search(capsys.readouterr().err)
+
+
+def raise_timeout(*_: object, **__: object) -> None:
+    raise TimeoutError
 
 
 def test_an_unreachable_hugging_face_hub_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
