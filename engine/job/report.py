@@ -12,13 +12,9 @@ from .manifest import MAKE_ANEW, read_manifest
 
 _SHARES = (("miou", "mIoU %"), ("miou_true", "true %"), ("pq", "PQ %"), ("sq", "SQ %"), ("rq", "RQ %"))
 _OTHERS = (
-    ("pq_frame", "frame PQ %", 100.0, 1),
-    ("id_changes", "id changes", 1.0, 2),
-    ("psnr", "PSNR dB", 1.0, 2),
-    ("psnr_fitted", "fitted", 1.0, 2),
-    ("ssim", "SSIM", 1.0, 3),
-    ("depth_error_m", "depth cm", 100.0, 1),
-)
+    ("pq_frame", "frame PQ %", 100.0, 1), ("id_changes", "id changes", 1.0, 2), ("psnr", "PSNR dB", 1.0, 2),
+    ("psnr_fitted", "fitted", 1.0, 2), ("ssim", "SSIM", 1.0, 3), ("depth_error_m", "depth cm", 100.0, 1),
+)  # fmt: skip
 _CLASS_SHARES = (("iou", "IoU %"), *_SHARES[2:])
 _COUNTS = ("tp", "fp", "fn")
 _NO_METRICS = "There are no metrics: they need held-out frames with ground truth."
@@ -38,7 +34,7 @@ def metrics_text(metrics: Mapping[str, Json], *, per_class: bool = False) -> str
         rendered = [_number(table.get(key), factor, digits) for key, _, factor, digits in _OTHERS]
         rows.append([str(table.get("name")), str(table.get("mode") or "-"), *shares, *rendered])
     figures = _aligned(rows, left=2) if tables else _NO_METRICS
-    missed = [f"Not shown: {text} (see frame {printable(frame)})" for text, frame in not_shown(metrics)]
+    missed = [f"Not shown: {text} (see frame {printable(frame)})" for text, frame in not_shown(metrics, together=True)]
     missed += [f"Wrong with the scene: {printable(finding)}" for finding in wrong_with_scene(metrics)]
     parts = [figures, "\n".join(missed), *(_classes_text(tables) if per_class else ())]
     return "\n\n".join(part for part in parts if part)
@@ -50,16 +46,21 @@ def wrong_with_scene(metrics: Mapping[str, Json]) -> list[str]:
     return [f"{entry.get('cause')}: {entry.get('text')}" for entry in entries if entry.get("severity") == "wrong"]
 
 
-def not_shown(metrics: Mapping[str, Json]) -> list[tuple[str, str]]:
-    """The objects that the masks show in close-ups and the lift lacks: a text on each, and its frames as a text."""
+def not_shown(metrics: Mapping[str, Json], *, together: bool = False) -> list[tuple[str, str]]:
+    """The objects that the masks show in close-ups and the lift lacks: a text on each, and the frame that shows it best
+    as a text. ``together``: one text for all objects of a class that are shown as the same other one."""
     judges = metrics.get("masks_as_judges")
-    entries = _list(judges.get("not_shown")) if isinstance(judges, dict) else []
-    found = []
-    for one in (entry for entry in entries if isinstance(entry, dict)):
-        views = _number(one.get("views"), 1, 0)
-        what = f"{'' if one.get('whole_class') else 'one '}{one.get('name')}: seen from near in {views} views"
-        what += f", shown as {one['shown_as']}" if one.get("shown_as") else ""
-        found.append((printable(what), str(one.get("frame"))))
+    alike, found = dict[tuple[str, ...], list[tuple[str, str]]](), []
+    for row, one in enumerate(_list(judges.get("not_shown")) if isinstance(judges, dict) else []):
+        if isinstance(one, dict):
+            of = "" if one.get("whole_class") else "one "
+            key = of, str(one.get("name")), str(one.get("shown_as") or ""), "" if together else str(row)
+            alike.setdefault(key, []).append((_number(one.get("views"), 1, 0), str(one.get("frame"))))
+    for (of, name, shown, _), each in alike.items():
+        views = sorted({views for views, _ in each}, key=lambda text: (len(text), text))
+        of = f"{len(each)} objects of " if each[1:] else of
+        what = f"{of}{name}: seen from near in {' to '.join({views[0]: 0, views[-1]: 0})} views"
+        found.append((printable(f"{what}, shown as {shown}" if shown else what), each[0][1]))
     return found
 
 

@@ -54,7 +54,7 @@ class Judgement:
         if self.held_back is None:
             log.info("no masks were held out, so confidence is judged by the masks that were trained on")
         judges: Json = {"not_shown": [asdict(one) for one in self.not_shown]}
-        lines = [f"{text} (see frame {frame})" for text, frame in not_shown({"masks_as_judges": judges})]
+        lines = [f"{text} (see frame {frame})" for text, frame in not_shown({"masks_as_judges": judges}, together=True)]
         for line in lines:
             log.info("not shown: %s", line)
         named = [*lines[:MOST_NAMED], *([f"and {len(lines) - MOST_NAMED} more"] if len(lines) > MOST_NAMED else [])]

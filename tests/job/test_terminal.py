@@ -120,5 +120,12 @@ def test_objects_that_a_lift_does_not_show_are_reported() -> None:
         "Not shown: sink: seen from near in 4 views, shown as countertop (see frame 0012)",
         "Not shown: one chair: seen from near in 3 views (see frame 0031)",
     ]
+    judges = {"not_shown": [chair, sink, chair | {"views": 12, "frame": "0040"}, chair | {"shown_as": "wall"}]}
+    assert len(not_shown({"masks_as_judges": judges})) == 4, "each row of the panel leads to a frame"
+    assert not_shown({"masks_as_judges": judges}, together=True) == [
+        ("2 objects of chair: seen from near in 3 to 12 views", "0031"),
+        ("sink: seen from near in 4 views, shown as countertop", "0012"),
+        ("one chair: seen from near in 3 views, shown as wall", "0031"),
+    ]
     for broken in ({}, {"masks_as_judges": 3}, {"masks_as_judges": {"not_shown": 7}}):
         assert not_shown(broken) == []

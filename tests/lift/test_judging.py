@@ -79,9 +79,10 @@ def test_the_warning_of_a_missing_object_names_a_frame_that_shows_it(
     assert warning_of(found, tmp_path / "events.jsonl").endswith(f"does not show: {line}")
     assert json.loads(json.dumps(found.to_json()))["not_shown"][0]["name"] == "chair"
     with caplog.at_level(logging.INFO, "plgs.lift"):
-        many = warning_of(replace(found, not_shown=(chair,) * 6), tmp_path / "many.jsonl")
+        six = tuple(replace(chair, name=f"chair of kind {number}") for number in range(6))
+        many = warning_of(replace(found, not_shown=(*six, *six)), tmp_path / "many.jsonl")
     assert "not shown: " in caplog.messages[-1]
-    assert many.endswith(f"; {line}; and 1 more") and many.count("chair") == 5
+    assert many.endswith("; and 1 more") and many.count("chair") == 5  # a line for those that are alike
 
 
 def seen(camera: Camera, depth: float, alpha: float = 1.0) -> PanopticLayers:
