@@ -13,6 +13,7 @@ from engine.errors import PlgsError
 from engine.job import EventWriter, LiftFolder, StopSignal
 from engine.job.report import metrics_text, read_metrics
 from engine.lift.run import run_lift
+from engine.plates import make_fills
 from engine.train.trainer import Trainer
 
 
@@ -36,5 +37,5 @@ def unfinished_scores(lift: Path) -> Iterator[str]:
         copy = LiftFolder.create(Path(name, "lift"), replace(folder.request, bake="test"))
         shutil.copytree(newest.path, copy.path / "checkpoint")
         with closing(EventWriter(copy.events_path)) as events:
-            run_lift(copy, events, StopSignal(), resume=True, training=EndedTraining)
+            run_lift(copy, events, StopSignal(), resume=True, make_fills=make_fills, training=EndedTraining)
         yield metrics_text(read_metrics(copy))

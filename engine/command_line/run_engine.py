@@ -67,8 +67,9 @@ def run_engine(
 
                     find_format(folder.request.scene, folder.request.scene_format)
                 from ..lift import run_lift  # late: it loads torch, and by now the watchdog can stop a slow import
+                from ..plates import make_fills
 
-                run_lift(folder, events, stop, resume=resume)
+                run_lift(folder, events, stop, resume=resume, make_fills=make_fills)
 
             command = Command(
                 LIFT,

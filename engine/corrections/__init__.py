@@ -8,4 +8,4 @@ from __future__ import annotations
 from . import making
 from .edits import CORRECTIONS, Edit, editing, read_edits
 from .proposals import BY_VIEWS, Proposal, Proposals, class_of_parts, entropy_of, entropy_of_views, proposals_of
-from .result import CorrectedResult, correct, put_back, read_corrected, read_with_removed, replayed, set_undone, undo
+from .result import CorrectedResult, MadeResult, correct, put_back, read_corrected, replayed, set_undone, undo

@@ -19,7 +19,7 @@ from ..result_files import SemanticPoints, npz_bytes
 from .relabelling import GONE, Labels
 
 FILLS = "fills"
-"""The folder of a lift that holds fills."""
+"""The folder of a lift that holds fills, and of a result that holds those that were made anew with it."""
 CELL = 0.02
 """Side in metres of a cell that is cleared."""
 OPACITY = 0.98
@@ -104,8 +104,9 @@ def cell_keys(cells: NDArray[np.integer]) -> NDArray[np.int64]:
     return x << 42 | y << 21 | z
 
 
-def path_of(lift: Path, name: str) -> Path:
-    return lift / FILLS / f"{name}.npz"
+def path_of(folder: Path, name: str) -> Path:
+    """Return the file of a fill in the ``folder`` of a lift or a result."""
+    return folder / FILLS / f"{name}.npz"
 
 
 def write_fill(path: Path, fill: Fill) -> str:

@@ -94,7 +94,7 @@ class Replay:
         """Apply an edit. Returns "", or why it cannot be applied and changes nothing."""
         if edit.kind not in KINDS:
             return f"this version does not know the edit {edit.kind!r}"
-        reasons = [reason for mark in edit.objects if (reason := self._missing(mark))]
+        reasons = [reason for mark in edit.objects if (reason := self.missing(mark))]
         if reasons and (edit.kind != "assign" or len(reasons) == len(edit.objects)):
             return reasons[0]
         ids = [*dict.fromkeys(mark.id for mark in edit.objects if mark.id in self.objects)]
@@ -132,7 +132,7 @@ class Replay:
             return f"there is no class {unknown[0]}"
         return f"there is no object {rest}" if rest > 0 and rest not in self.objects else ""
 
-    def _missing(self, mark: ObjectMark) -> str:
+    def missing(self, mark: ObjectMark) -> str:
         """Return why the object that a mark refers to is missing, or ""."""
         if mark.id not in self.objects:
             return f"there is no object {mark.id}"

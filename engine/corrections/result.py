@@ -130,14 +130,7 @@ class CorrectedResult:
 def read_corrected(lift: Path, listed: Listed | None = None, further: Sequence[Edit] = ()) -> CorrectedResult:
     """Read the result of the finished lift in this folder with its corrections, and with ``further`` edits that are not
     saved. ``listed`` is the content of instances.json, if already read. Raises PlgsError for a damaged file."""
-    return _Result.read(lift, listed).corrected([*read_edits(lift), *further])
-
-
-def read_with_removed(lift: Path) -> CorrectedResult:
-    """Read a finished lift's corrected result with all removed objects back in their places, as the photos show them.
-    Raises PlgsError for a damaged file."""
-    edits = [replace(edit, undone=edit.undone or edit.kind == "remove") for edit in read_edits(lift)]
-    return _Result.read(lift).corrected(edits)
+    return MadeResult.read(lift, listed).corrected([*read_edits(lift), *further])
 
 
 def _fingerprint(edits: Sequence[Edit], not_applied: Mapping[str, str], without: tuple[str, ...]) -> str:
@@ -148,28 +141,34 @@ def _fingerprint(edits: Sequence[Edit], not_applied: Mapping[str, str], without:
 
 def replayed(lift: Path) -> Replay:
     """Return the objects and points of a finished lift after its corrections. Raises PlgsError for a damaged file."""
-    return _Result.read(lift).replay(read_edits(lift))
+    return MadeResult.read(lift).replay(read_edits(lift))
 
 
 @dataclass(frozen=True, eq=False)
-class _Result:
-    """The objects and points of the ``lift``'s result as the engine made it, before corrections."""
+class MadeResult:
+    """The objects and points of a ``lift``'s result, in the folder ``path``, as the engine made it, before corrections.
+    """
 
     lift: Path
+    path: Path
     classes: ClassTable
     made: tuple[Instance, ...]
     points: SemanticPoints
 
     @classmethod
-    def read(cls, lift: Path, listed: Listed | None = None) -> _Result:
-        """Read a finished lift's result; ``listed`` is its instances.json, if read. Raises PlgsError if damaged."""
-        classes, made = listed or result_files.read_instances(lift / "result" / result_files.INSTANCES)
-        points = result_files.read_arrays(lift / "result" / result_files.SEMANTIC_POINTS, SemanticPoints)
-        return cls(lift, classes, made, points)
+    def read(cls, lift: Path, listed: Listed | None = None, name: str = "result") -> MadeResult:
+        """Read a lift's result, in its folder ``name``; ``listed`` is its instances.json, if read. Raises PlgsError if
+        damaged."""
+        path = lift / name
+        classes, made = listed or result_files.read_instances(path / result_files.INSTANCES)
+        points = result_files.read_arrays(path / result_files.SEMANTIC_POINTS, SemanticPoints)
+        return cls(lift, path, classes, made, points)
 
     def fill_of(self, edit: Edit) -> Fill:
-        """Read the fill of a removal. Raises PlgsError if it is missing or damaged."""
-        return read_fill(path_of(self.lift, edit.fill), edit.digest)
+        """Read the fill of a removal: the result's own, if a later lift made one, else the edit's. Raises PlgsError if
+        it is missing or damaged."""
+        own = path_of(self.path, edit.fill)
+        return read_fill(own) if own.is_file() else read_fill(path_of(self.lift, edit.fill), edit.digest)
 
     def replay(self, edits: Sequence[Edit]) -> Replay:
         state = Replay.of(self.classes, self.made, self.points, self.fill_of)
@@ -200,7 +199,7 @@ def correct(lift: Path, make: Make, listed: Listed | None = None) -> tuple[Edit,
     """Add the edit that ``make`` returns to those of the lift in this folder. Returns the edit and the new result.
     ``listed`` is the content of instances.json, if read. Raises PlgsError, OSError; nothing is then changed."""
     with editing(lift) as edits:
-        result = _Result.read(lift, listed)
+        result = MadeResult.read(lift, listed)
         state = result.replay(edits)
         # above those of undone edits, too, which can be redone
         free = max([*(one.id for one in result.made), *(edit.largest_id for edit in edits)], default=0) + 1
@@ -220,14 +219,14 @@ def undo(lift: Path, listed: Listed | None = None) -> tuple[Edit, CorrectedResul
         if last < 0:
             raise PlgsError("nothing-to-undo", "there is no edit to undo", lift / CORRECTIONS, "")
         edits[last] = replace(edits[last], undone=True)
-    return edits[last], _Result.read(lift, listed).corrected(edits)
+    return edits[last], MadeResult.read(lift, listed).corrected(edits)
 
 
 def put_back(lift: Path, objects: Sequence[int | str], listed: Listed | None = None) -> tuple[Edit, CorrectedResult]:
     """Undo the removals of ``objects``, ids or names. Returns the last of these edits and the result without them.
     Raises PlgsError if one of the objects is not removed, and OSError; nothing is then changed."""
     with editing(lift) as edits:
-        result = _Result.read(lift, listed)
+        result = MadeResult.read(lift, listed)
         state, ids = result.replay(edits), set[int]()
         # Also those that are still shown, as their fill is lost.
         lost = {mark.id for edit in edits if edit.kind == "remove" and edit.uid in state.not_applied

@@ -41,7 +41,7 @@ from ..scene import Camera, ClassTable, Frame, Scene, Size, View, counted, evenl
 from ..scene_of_lift import another, have_classes_changed, names_of_frames, opened_scene, refuse_other_pictures
 from .device import be_repeatable
 from .judging import judge
-from .scene_files import LIFT_ANEW, read_model, read_shown_instances
+from .scene_files import LIFT_ANEW, corrected_instances, has_one_class_an_object, read_model
 
 CORRECTIONS_NOTE = "plgs/corrections"
 """Attribute in the header of a view that shows corrections: their fingerprint."""
@@ -112,8 +112,7 @@ class FrameBaker:
 
 def read_baker(folder: LiftFolder, classes: ClassTable, corrected: CorrectedResult) -> FrameBaker:
     """Return a FrameBaker for a finished lift with its corrections. Raises PlgsError for damaged files, OSError."""
-    lifted = corrected_scene(read_model(folder), corrected)
-    shown = read_shown_instances(folder, lifted, corrected)
+    lifted, one_class = read_model(folder), has_one_class_an_object(folder)
     path = folder.result_path / "metrics.json"
     judges: Any = read_metrics(folder).get("masks_as_judges") if path.is_file() else None
     found = judges.get("calibration") if isinstance(judges, dict) else None
@@ -121,8 +120,19 @@ def read_baker(folder: LiftFolder, classes: ClassTable, corrected: CorrectedResu
         calibration = Calibration(**found) if isinstance(found, dict) else UNCALIBRATED
     except (TypeError, ValueError) as error:
         raise PlgsError("calibration-damaged", f"the calibration cannot be used ({error})", path, LIFT_ANEW) from error
+    return corrected_baker(lifted, classes, corrected, one_class=one_class, calibration=calibration)
+
+
+def corrected_baker(
+    lifted: StructuredScene, classes: ClassTable, corrected: CorrectedResult, *, one_class: bool,
+    calibration: Calibration = UNCALIBRATED,
+) -> FrameBaker:  # fmt: skip
+    """Return a FrameBaker for the scene ``lifted``, on the CPU, with its corrections. ``one_class``: whether each
+    object has one class."""
+    scene = corrected_scene(lifted, corrected)
+    shown = corrected_instances(scene, corrected, one_class=one_class)
     removed = [one.name for one in corrected.removed]
-    return FrameBaker(classes, lifted, shown, corrected.fingerprint, calibration, removed)
+    return FrameBaker(classes, scene, shown, corrected.fingerprint, calibration, removed)
 
 
 def baked_files(folder: LiftFolder, frame: str) -> tuple[Path, Path, Path, Path]:
@@ -155,6 +165,7 @@ def bake_and_evaluate(
     baker: FrameBaker,
     wanted: Sequence[Frame],
     *,
+    shown: FrameBaker,
     views: Sequence[View],
     held_back: Sequence[View],
     events: EventWriter,
@@ -163,30 +174,34 @@ def bake_and_evaluate(
     scored: Size | None = None,
 ) -> None:
     """Compare the lift with the masks of its training ``views`` and of the ``held_back`` views, and calibrate ``baker``
-    by it; bake the frames ``wanted``; score the held-out frames (reduced to fit ``scored`` if they are not baked);
-    write the contact sheet and metrics.json, ``findings`` included. Ground truth is used for metrics.json only. Raises
-    Cancelled, OSError; PlgsError for bad files of the scene."""
+    and ``shown`` by it; bake the frames ``wanted`` by ``shown``, which may have corrections; score the held-out frames
+    by ``baker`` (reduced to fit ``scored`` if they are not baked); write the contact sheet and metrics.json,
+    ``findings`` included. Ground truth is used for metrics.json only. Raises Cancelled, OSError; PlgsError for bad
+    files of the scene."""
     baked_names = {frame.name for frame in wanted}
     frames = wanted or scene.test_frames  # wanted frames include the held-out ones, or are empty
-    shown = {frame.name for frame in evenly_spread(scene.test_frames, MOST_ROWS)}
+    on_sheet = {frame.name for frame in evenly_spread(scene.test_frames, MOST_ROWS)}
     report, rows, seconds, names = Report(scene.classes), [], [], names_of_files(folder)
     with stages.stage("evaluate") as progress:
         add_input_masks(report, scene, None if wanted else scored)
         seen = partial(baker.decided, wanted=("semantic", "confidence"))
         judgement = judge(seen, scene, views, held_back, progress=progress, scratch=folder.path)
         judgement.report(events)
-        baker.calibration = judgement.calibration
+        baker.calibration = shown.calibration = judgement.calibration
     with stages.stage("bake", "" if wanted else "Scoring the held-out frames") as progress:
         for done, frame in enumerate(frames, start=1):
-            began = time.monotonic()
-            size = frame.size if scored is None or frame.name in baked_names else size_within(frame.size, scored)
-            view = baker.render(frame.camera.resized(*size))
+            began, is_baked = time.monotonic(), frame.name in baked_names
+            size = frame.size if scored is None or is_baked else size_within(frame.size, scored)
+            camera = frame.camera.resized(*size)
+            view = (shown if is_baked else baker).render(camera)
             seconds.append(time.monotonic() - began)
-            if frame.name in baked_names:
-                baker.write(folder, names.get(frame.name, frame.name), view, events)
+            if is_baked:
+                shown.write(folder, names.get(frame.name, frame.name), view, events)
+                if shown is not baker and (frame.held_out or frame.name in on_sheet):
+                    view = baker.render(camera)
             if frame.held_out:
                 report.add(LIFTED, frame, predicted(view.layers))
-            if frame.name in shown:
+            if frame.name in on_sheet:
                 photo, mask = frame.read_colour(size), frame.mask(size)
                 rows.append(SheetRow(frame.name, photo, mask.class_map(), view.layers))
             del view  # frees its memory before the next is made

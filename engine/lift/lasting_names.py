@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..corrections import Edit, editing, read_corrected, read_edits
-from ..corrections.fills import path_of
+from ..corrections import Edit, read_edits
 from ..errors import PlgsError
 from ..instances.lasting_objects import LastingObjects, lasting_objects, object_overlap
 from ..instances.records import SceneObject
@@ -22,7 +21,6 @@ from ..job import EventWriter, LiftFolder, LiftRequest, read_manifest, write_ato
 from ..json_file import read_object
 from ..model.structured import StructuredScene
 from ..posed.classes import LARGEST_ID
-from ..posed.layout import plural
 from ..presets.preset import Preset
 from ..result_files import INSTANCES, SEMANTIC_POINTS, SemanticPoints, read_arrays, read_instances
 from ..scene import ClassTable
@@ -190,35 +188,3 @@ def write_names(folder: LiftFolder, lasting: LastingNames, events: EventWriter) 
             log.info("%s: %s", kind, ", ".join(f"{key} {value}" for key, value in one.items()))
     if not counts["kept"] and lasting.changes["gone"]:
         events.warning("no object is where the earlier lift had one: was it lifted from the same scene?")
-
-
-def take_over_edits(folder: LiftFolder, earlier: EarlierLift) -> None:
-    """Copy the earlier lift's corrections to this lift, in which the same objects have the same ids. Corrections that
-    no longer apply are kept, too. Raises PlgsError if corrections cannot be read, and OSError."""
-    if not earlier.edits:
-        return
-    with editing(folder.path) as edits:
-        known = {edit.uid for edit in edits}
-        taken = [edit for edit in earlier.edits if not edit.undone and edit.uid not in known]
-        for edit in taken:
-            if edit.kind == "remove" and (fill := path_of(earlier.folder, edit.fill)).is_file():
-                write_atomically(path_of(folder.path, edit.fill), fill.read_bytes())
-        edits += taken
-
-
-def report_edits(folder: LiftFolder, earlier: EarlierLift, events: EventWriter) -> None:
-    """Warn of the earlier lift's corrections: which apply to this lift, which do not. Raises PlgsError for bad
-    files."""
-    if not earlier.edits:
-        return
-    corrected = read_corrected(folder.path)
-    applied = sum(not edit.undone and edit.uid not in corrected.not_applied for edit in corrected.edits)
-    some = plural(applied, "correction of the earlier lift applies", "corrections of the earlier lift apply")
-    summary = f"{some} here; passes show them once they are baked again"
-    if away := [one.name for one in corrected.removed]:
-        summary += (
-            f". What stands in place of {', '.join(away)} was made for the earlier result, and remains of it may show: "
-            "put it back and remove it again"
-        )
-    for line in (*corrected.warnings, summary):
-        events.warning(line)

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -20,6 +21,7 @@ import torch
 from safetensors.torch import save_file
 
 from .. import __version__
+from ..corrections import read_edits
 from ..diagnosis import Finding, diagnose_quickly
 from ..errors import Cancelled, PlgsError
 from ..job import Checkpoint, EventWriter, LiftFolder, StopSignal, read_manifest, write_manifest
@@ -42,10 +44,11 @@ from ..scene_of_lift import estimates_of, masks_differ, masks_last_run, refuse_c
 from ..train.state import OtherLabels, restore, trainer_state
 from ..train.trainer import LOSSES, Trainer
 from . import lasting_names
-from .baking import FrameBaker, bake_and_evaluate, names_of_files
+from .baking import FrameBaker, bake_and_evaluate, corrected_baker, names_of_files
 from .device import be_repeatable, usable_device
 from .frame_sets import FRAMES, FrameSets, check_disk, frames_to_bake, predicted_lift, sets_of_frames
 from .judging import evenly, read_held_back
+from .kept_corrections import FILL, MakeFills, kept_edits, removals, report_edits, take_over_edits, with_own_fills
 from .live_previews import LivePreviews
 from .objects import MATCHERS
 from .preparation import PreparedLift, ViewsToLift, prepare
@@ -65,6 +68,12 @@ STAGES = {
     "evaluate": "Judging the lift by its masks",
     "bake": "Baking and scoring panoptic passes",
 }
+STAGES_WITH_FILLS = {
+    name: STAGES.get(name, "Filling where objects were removed") for name in (*[*STAGES][:-2], FILL, *[*STAGES][-2:])
+}
+"""The stages of a lift that keeps removals of objects."""
+FILL_S = 15.0
+"""Predicted seconds to make the fill of a removal."""
 CHECKPOINT_EVERY_S = 20.0
 """Minimum seconds between two checkpoints. Checkpoints do not change the result."""
 CHECKPOINT_SHARE = 0.02
@@ -96,11 +105,13 @@ def run_lift(
     stop: StopSignal,
     *,
     resume: bool,
+    make_fills: MakeFills,
     preparing: Callable[..., PreparedLift] = prepare,
     training: Callable[..., Trainer] = Trainer,
     sources: Sequence[str] = ("engine",),
 ) -> None:
-    """Do the lift that ``folder`` requests or, with ``resume``, the remaining part of it. Methods other than PLGS pass
+    """Do the lift that ``folder`` requests or, with ``resume``, the remaining part of it. ``make_fills`` makes what
+    replaces objects that were removed from an earlier result (see `MakeFills`). Methods other than PLGS pass
     their own ``preparing`` and ``training``, which take the arguments of `prepare` and `Trainer`, and ``sources``:
     folders whose code's digest goes into the manifest. Raises PlgsError if the input cannot be lifted, and Cancelled if
     stopped; the lift can be resumed after that."""
@@ -120,9 +131,10 @@ def run_lift(
         made = folder.with_next_result()
         named_by = names_before(folder, made, checkpoint)
         earlier = None if named_by is None else lasting_names.read_earlier(named_by)
+        removed = len(removals(kept_edits(read_edits(folder.path), earlier)))
     predicted = predicted_lift(frames.all, replace(preset, frames=len(frames.training)), USUAL_MASKS, request.bakes)
-    left = {name: seconds for name, seconds in predicted.stages.items() if name not in ("start", "check")}  # both over
-    stages.course = Course({name: machine_slowness() * seconds for name, seconds in left.items()})
+    stages.labels, seconds = STAGES_WITH_FILLS if removed else STAGES, {**predicted.stages, FILL: FILL_S * removed}
+    stages.course = Course({name: machine_slowness() * seconds[name] for name in stages.labels if name != "check"})
     warn_if_long(stages.course, events)
     check_disk(folder.path, (frame.size for frame in frames_to_bake(frames.all, request.bakes)), events)
     with stages.stage("read") as progress:
@@ -172,21 +184,26 @@ def run_lift(
             made, frames.chosen, views=views, held_back=held_back, prepared=prepared, seen=seen, lifted=lifted,
             events=events, names=names, progress=part,
         )  # fmt: skip
+    one_class = prepared.class_of_instance is not None
+    baker_of = partial(corrected_baker, trainer.scene, classes, one_class=one_class)  # on the CPU, as later bakes
+    edits = kept_edits(read_edits(folder.path), earlier)
+    stages.labels = STAGES_WITH_FILLS if removals(edits) else stages.labels
+    corrected, filled = with_own_fills(made, edits, earlier, stages, partial(make_fills, made, edits, baker_of))
     baker = FrameBaker(classes, trainer.scene.on(device), shown_instances(prepared, names))
+    shown = baker if corrected is None else baker_of(corrected)
     wanted = frames_to_bake(frames.all, request.bakes)
     bake_and_evaluate(
-        made, frames.chosen, baker, wanted, views=evenly(views, preset.judged), held_back=held_back, events=events,
-        stages=stages, findings=findings, scored=preset.scored,
+        made, frames.chosen, baker, wanted, shown=shown, views=evenly(views, preset.judged), held_back=held_back,
+        events=events, stages=stages, findings=findings, scored=preset.scored,
     )  # fmt: skip
     previews.clear_away()
     if earlier is not None:
-        lasting_names.take_over_edits(folder, earlier)  # not before: until now, they would apply to the earlier result
+        take_over_edits(folder, earlier)  # not before: until now, they would apply to the earlier result
     finish(made, preset, stages, code, parts)
     if folder.is_lifted_again:
         verify_of(made.result_path, folder.path)  # else the earlier result would stay, as if it was this one
     warn_of_earlier(folder.adopt_next_result(), events.warning)
-    if earlier is not None:
-        lasting_names.report_edits(folder, earlier, events)
+    report_edits(folder, earlier, filled, events)
     remember_pace(paces, trainer)
 
 

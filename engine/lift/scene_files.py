@@ -133,13 +133,17 @@ def _with_numbers(names: Mapping[int, str], lifted: StructuredScene) -> dict[int
     return {**names, **{one: f"object {one}" for one in lifted.channels.shown_ids if one not in names}}
 
 
-def read_shown_instances(folder: LiftFolder, lifted: StructuredScene, corrected: CorrectedResult) -> ShownInstances:
-    """Return objects' names and classes as a finished, corrected lift shows them. Raises PlgsError for bad files."""
+def has_one_class_an_object(folder: LiftFolder) -> bool:
+    """Whether each object of a finished lift has one class. Raises PlgsError for a bad manifest."""
     settings = read_manifest(folder.result_path).settings
     if "one_class_an_object" not in settings:
         raise PlgsError("kind-missing", "does not say if each object has one class", folder.manifest_path, LIFT_ANEW)
+    return bool(settings["one_class_an_object"] and settings.get("objects") != "none")
+
+
+def corrected_instances(lifted: StructuredScene, corrected: CorrectedResult, *, one_class: bool) -> ShownInstances:
+    """Return objects' names and classes as a corrected lift shows them; ``one_class``: whether each has only one."""
     names, class_of = {one.id: one.name for one in corrected.instances}, corrected.class_of
-    one_class = settings["one_class_an_object"] and settings.get("objects") != "none"
     if corrected.changes_labels:
         one_class, class_of = True, lifted.channels.class_of_shown | class_of
     return ShownInstances(_with_numbers(names, lifted), class_of if one_class else None, corrected.left_unowned)

@@ -8,4 +8,4 @@ behind), `texture` (a plane as the photos show it), `completion` (what they do n
 
 from __future__ import annotations
 
-from .removal import remove, without
+from .removal import make_fills, remove, without

@@ -7,13 +7,14 @@ import re
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..corrections import CorrectedResult, Edit, correct, making, read_corrected, read_with_removed, replayed
+from ..corrections import CorrectedResult, Edit, MadeResult, correct, making
 from ..corrections.edits import CORRECTIONS, read_edits
 from ..corrections.fills import FILLS, Fill, path_of, read_fill, write_fill
 from ..corrections.replay import Replay
@@ -21,6 +22,7 @@ from ..errors import ErrorCode, PlgsError
 from ..job import LiftFolder, read_manifest
 from ..job.progress import Progress, part_of, unwatched
 from ..lift.baking import FrameBaker, read_baker, voted_labels
+from ..lift.kept_corrections import BakerOf, removals
 from ..lift.scene_files import MODEL
 from ..machine.code_digest import code_digest
 from ..model.settling import gaussian_centres
@@ -51,7 +53,7 @@ def remove(
     """Take objects, given by ids or names, out of a finished lift, by an edit like any other. Returns the edit and the
     new result. Raises PlgsError if there is no such object, if the scene is gone, and if the lift is corrected
     meanwhile; OSError, and what ``progress`` raises. Nothing is then changed."""
-    edit, known = _removal(folder, objects, progress, tell)
+    edit, known, _ = _removal(folder, objects, progress, tell)
 
     def make(state: Replay, _: int) -> Edit:
         if read_edits(folder.path) != known:
@@ -66,22 +68,20 @@ def without(
     folder: LiftFolder, objects: Sequence[str], progress: Progress = unwatched, tell: Tell = str
 ) -> CorrectedResult:
     """Return the corrected result without objects, as `remove` makes it, but save no edit. Raises like `remove`."""
-    edit, _ = _removal(folder, objects, progress, tell)
-    return _shown_without(folder, edit)
-
-
-def _shown_without(folder: LiftFolder, edit: Edit) -> CorrectedResult:
-    return read_corrected(folder.path, further=[replace(edit, uid=edit.fill)])  # the same plate has the same uid
+    return _removal(folder, objects, progress, tell)[2]
 
 
 def _removal(
     folder: LiftFolder, objects: Sequence[str], progress: Progress, tell: Tell
-) -> tuple[Edit, tuple[Edit, ...]]:
-    """Return the edit that removes the objects, and the edits before it. Write the edit's fill to a file if need be."""
+) -> tuple[Edit, tuple[Edit, ...], CorrectedResult]:
+    """Return the edit that removes the objects, the edits before it, and the result after it. Write the edit's fill to
+    a file if need be."""
     folder.refuse_read_only()
-    state, corrected = replayed(folder.path), read_corrected(folder.path)
+    result, edits = MadeResult.read(folder.path), read_edits(folder.path)
+    state = result.replay(edits)
+    corrected = result.corrected(edits, state)
     ids = sorted({making.object_of(state, each) for each in objects})
-    lost = [edit for edit in corrected.edits if edit.kind == "remove" and edit.uid in corrected.not_applied]
+    lost = [edit for edit in edits if edit.kind == "remove" and edit.uid in corrected.not_applied]
     for edit in lost:
         if not {mark.id for mark in edit.objects}.isdisjoint(ids):
             what = f"these objects were removed before, but {corrected.not_applied[edit.uid]}"
@@ -89,20 +89,19 @@ def _removal(
     files = {str(file.path): file.sha256 for file in read_manifest(folder.result_path).files}
     decides = ids, corrected.fingerprint, files.get(MODEL), code_digest("engine")
     name = sha256(repr(decides).encode()).hexdigest()[:16]
-    path, views = path_of(folder.path, name), list[PlateView]()
+    path, views, baker_of = path_of(folder.path, name), list[PlateView](), partial(read_baker, folder, result.classes)
     try:
         read_fill(path)
         digest = sha256(path.read_bytes()).hexdigest()
     except PlgsError:  # there is none, or a damaged one
-        fill, views = fill_of(folder, corrected, ids, progress)
+        fill, views = fill_of(folder, result, edits, ids, baker_of=baker_of, progress=progress)
         digest = write_fill(path, fill)
         _drop_unused(folder.path)
     edit = making.remove(state, ids, name, digest)
-    after = _shown_without(folder, edit)
-    baker = read_baker(folder, after.classes, after) if views else None
-    for line in remains_of(corrected, after, ids, baker, views):
+    after = result.corrected([*edits, replace(edit, uid=edit.fill)])  # the same plate has the same uid
+    for line in remains_of(corrected, after, ids, baker_of(after) if views else None, views):
         tell(line)
-    return edit, corrected.edits
+    return edit, edits, after
 
 
 def _drop_unused(lift: Path) -> None:
@@ -114,22 +113,45 @@ def _drop_unused(lift: Path) -> None:
             path.unlink()
 
 
+def make_fills(folder: LiftFolder, edits: Sequence[Edit], baker_of: BakerOf, progress: Progress) -> dict[str, str]:
+    """Make the fills of all removals among ``edits`` for a new result, in its folder, each as `remove` makes it after
+    the edits before it. ``baker_of`` returns a baker of a corrected result. Returns, by uid, why one cannot be made.
+    Raises OSError, and what ``progress`` raises."""
+    result, failed = MadeResult.read(folder.path, name=folder.result_name), dict[str, str]()
+    wanted = removals(edits)
+    for done, edit in enumerate(wanted):
+        before, ids = edits[: edits.index(edit)], [mark.id for mark in edit.objects]
+        if any(map(result.replay(before).missing, edit.objects)):
+            continue  # the edit does not apply, as the corrected result says
+        part = part_of(progress, done / len(wanted), (done + 1) / len(wanted), 100)
+        try:
+            fill, _ = fill_of(folder, result, before, ids, baker_of=baker_of, progress=part)
+        except PlgsError as error:
+            failed[edit.uid] = error.what
+        else:
+            write_fill(path_of(folder.result_path, edit.fill), fill)
+    return failed
+
+
 def fill_of(
-    folder: LiftFolder, corrected: CorrectedResult, ids: Sequence[int], progress: Progress
-) -> tuple[Fill, list[PlateView]]:
-    """Return what replaces objects ``ids``, and the photos around them. Raises PlgsError for unreadable photos, and
-    what ``progress`` raises."""
-    scene = scene_of_lift(folder)
-    baker = read_baker(folder, scene.classes, corrected)
+    folder: LiftFolder, result: MadeResult, edits: Sequence[Edit], ids: Sequence[int], *,
+    baker_of: BakerOf, progress: Progress,
+) -> tuple[Fill, list[PlateView]]:  # fmt: skip
+    """Return what replaces objects ``ids`` of a ``result`` after ``edits``, and the photos around them. Raises
+    PlgsError for unreadable photos, and what ``progress`` raises."""
+    corrected = result.corrected(edits)
+    baker = baker_of(corrected)
     points = {number: corrected.points.xyz[corrected.points.instance_id == number] for number in ids}
     points = {number: xyz for number, xyz in points.items() if len(xyz)}
     if not points:
         what = "no point of the lift belongs to these objects"
         raise PlgsError("remove-no-points", what, folder.path, "Delete them instead.")
-    room = _Room(baker, corrected, ids)
+    room, scene = _Room(baker, corrected, ids), scene_of_lift(folder)
     frames = frames_around(scene.train_frames, np.concatenate([*points.values()]))
-    away = corrected.removed  # the photos still show these, which no label says once they are removed
-    as_in_photos = read_baker(folder, scene.classes, read_with_removed(folder.path)) if away else baker
+    away, as_in_photos = corrected.removed, baker
+    if away:  # the photos still show these, which no label says once they are removed
+        there = [replace(edit, undone=edit.undone or edit.kind == "remove") for edit in edits]
+        as_in_photos = baker_of(result.corrected(there))
     absent = {*ids, *(one.id for one in away)}
     views = list(read_views(frames, as_in_photos, absent, part_of(progress, 0.0, READ, 100)))
     groups, parts = _groups([*points.values()]), list[Fill]()
@@ -187,6 +209,7 @@ class _Room:
             progress(4 + 6 * number // len(planes), 10)
             solid = [one for one in planes if one is not plane and self._is_stuff(one, others.xyz, others.label)]
             texture = texture_around(plane, solid, views, leaving)
+            progress(4 + (6 * number + 3) // len(planes), 10)  # a second or more each
             completed = texture and complete(texture, leaving, self.staying)
             if texture is not None and completed:
                 parts.append(gaussians_of(texture, completed))

@@ -18,6 +18,7 @@ from engine.lift.run import run_lift
 from engine.model.growing import GrowthRound
 from engine.model.neural_gaussians import NeuralGaussians
 from engine.model.structured import StructuredScene
+from engine.plates import make_fills
 from engine.presets.preset import Preset
 from engine.raster import Rendering
 from engine.scene import OnDemand, View
@@ -90,7 +91,10 @@ class SplattingTrainer(SegmentTrainer):
 
 def lift_baseline(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None:
     """Run `run_lift`, which may raise, with the baseline that the preset's options name, else PLGS itself."""
-    run_lift(folder, events, stop, resume=resume, preparing=prepare_baseline, training=new_trainer, sources=SOURCES)
+    run_lift(
+        folder, events, stop, resume=resume, make_fills=make_fills, preparing=prepare_baseline, training=new_trainer,
+        sources=SOURCES,
+    )  # fmt: skip
 
 
 def prepare_baseline(given: ViewsToLift, stages: StageReporter) -> PreparedLift:

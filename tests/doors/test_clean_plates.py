@@ -1,13 +1,16 @@
 """What docs/clean-plates.md promises, done as it says, in the tiny room: a cabinet and a chair on the floor."""
 
+import hashlib
 import json
 import os
 import re
 import shutil
 import socket
 import subprocess
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenEXR
@@ -15,9 +18,12 @@ import pytest
 
 import engine
 from engine import plates
-from engine.corrections import correct, making, read_corrected, undo
-from engine.corrections.fills import NOTHING, path_of, read_fill
-from engine.job import LiftFolder, LiftRequest
+from engine.command_line.main import main
+from engine.corrections import MadeResult, correct, making, read_corrected, undo
+from engine.corrections.edits import Edit, editing, read_edits
+from engine.corrections.fills import NOTHING, Fill, path_of, read_fill, write_fill
+from engine.errors import PlgsError
+from engine.job import ExitCode, LiftFolder, LiftRequest
 from engine.lift_arrays import Gaussians
 from engine.passes.exr import PanopticLayers, read_exr, read_note
 from engine.plates.completion import complete, completed_labels
@@ -30,7 +36,7 @@ from tests import tiny_scene
 from tests.doors.terminal import ROOT, Terminal
 from tests.raises_key import raises_key
 from tests.tiny_scene import CABINET, CHAIR, CHAIR_ID, FLOOR_ID, PAINT, TinyView, tiny_intrinsics, tiny_pose, trace_view
-from tests.train.tiny_lift import TINY, lift_into, presets_as
+from tests.train.tiny_lift import TINY, lift_into, presets_as, warnings_in
 
 LIFT = "lifts/demo"
 REMOVE = ".venv/bin/python -m engine correct lifts/demo remove 7"
@@ -397,7 +403,7 @@ def test_a_removal_that_was_killed_changes_nothing_and_can_be_made_again(
 
 
 def test_a_fill_is_not_reused_after_the_engine_changed(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(plates.removal, "fill_of", lambda *_: (NOTHING, []))
+    monkeypatch.setattr(plates.removal, "fill_of", lambda *_, **__: (NOTHING, []))
     number, folder = str(chair(terminal)), LiftFolder.open(terminal.folder / LIFT)
     names = {plates.remove(folder, [number])[0].fill}
     undo(folder.path)
@@ -407,7 +413,7 @@ def test_a_fill_is_not_reused_after_the_engine_changed(terminal: Terminal, monke
 
 
 def test_only_the_last_four_plates_and_used_fills_are_kept(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(plates.removal, "fill_of", lambda *_: (NOTHING, []))
+    monkeypatch.setattr(plates.removal, "fill_of", lambda *_, **__: (NOTHING, []))
     folder = LiftFolder.open(terminal.folder / LIFT)
     one, other = (str(each.id) for each in engine.read_lift(folder.path).instances)
     for number in range(5):  # names decide about a plate, too
@@ -427,16 +433,38 @@ def test_removing_from_a_read_only_lift_is_refused_at_once(terminal: Terminal, m
         plates.remove(LiftFolder.open(terminal.folder / LIFT), ["chair 1"], pytest.fail)
 
 
-def test_a_new_lift_with_names_from_keeps_the_removal(terminal: Terminal) -> None:
-    number, scene = chair(terminal), terminal.folder / "scans/room"
-    terminal.run(REMOVE, id7=number)
-    with presets_as(preview=TINY):
-        lift_into(terminal.folder / "lifts/next", LiftRequest(scene=scene, names_from=terminal.folder / LIFT))
+QUICK = ["--steps", "8", "--set", "voxel_size=0.2", "--set", "warm_start=false", "--bake", "test"]
+LIFT_AGAIN = {
+    "lifts/demo": ".venv/bin/python -m engine lift lifts/demo --refine",
+    "lifts/next": f".venv/bin/python -m engine lift scans/room -o lifts/next --names-from {LIFT}",
+}
+
+
+@pytest.mark.parametrize("again", LIFT_AGAIN)
+def test_a_later_lift_keeps_a_removal_and_makes_its_fill_anew(terminal: Terminal, again: str) -> None:
+    lift = terminal.folder / again
     shutil.rmtree(terminal.folder / LIFT)
-    assert "put it back and remove it again" in (terminal.folder / "lifts/next/events.jsonl").read_text()
-    now = engine.read_lift(terminal.folder / "lifts/next")
-    assert [one.id for one in read_corrected(terminal.folder / "lifts/next").removed] == [number]
-    assert number not in now.points.instance_id and number not in now.gaussians.instance_id
+    terminal.run(".venv/bin/python -m engine lift scans/room -o lifts/demo --preset draft", more=QUICK)
+    number = chair(terminal)
+    terminal.run(REMOVE, id7=number)
+    [edit] = read_edits(terminal.folder / LIFT)
+    stale = read_fill(path_of(terminal.folder / LIFT, edit.fill), edit.digest)
+    said = terminal.run(LIFT_AGAIN[again], more=QUICK if again != LIFT else [])
+    assert "Filling where objects were removed" in (lift / "events.jsonl").read_text() and "put it back" not in said
+    baked, kept = passes(lift / "result/passes"), MadeResult.read(lift).fill_of(edit)
+    assert read_edits(lift) == (edit,) and not np.array_equal(kept.cells, stale.cells)
+    assert read_note(baked, "plgs/removed") == "chair 1" and number not in read_exr(baked).instance
+    shown = planes(baked)
+    if again != LIFT:
+        shutil.rmtree(terminal.folder / LIFT)
+    terminal.run(PUT_BACK.replace(LIFT, again), id7=number)
+    assert chair(terminal, again) == number
+    terminal.run(REMOVE.replace(LIFT, again), id7=number)
+    fresh = MadeResult.read(lift).fill_of(read_edits(lift)[1])
+    assert all(np.array_equal(each, getattr(kept, name)) for name, each in vars(fresh).items()), "as if removed now"
+    terminal.run(BAKE.replace(LIFT, again))
+    now = planes(passes(lift / "result/passes"))
+    assert all(np.array_equal(now[name], plane) for name, plane in shown.items()), "and so in the picture"
 
 
 @pytest.mark.parametrize("together", [True, False])
@@ -463,3 +491,69 @@ def test_stacked_objects_are_removed_together_or_in_turn(
     over = ((shown.xyz > [*CABINET[0, :2], 0.1]) & (shown.xyz < [*CABINET[1, :2], 1.7])).all(axis=1)
     floor = ((shown.xyz > [*CABINET[0, :2], -0.1]) & (shown.xyz < [*CABINET[1, :2], 0.1])).all(axis=1)
     assert floor.sum() > 20 and over.sum() < 0.1 * floor.sum()
+
+
+def refine(lift: LiftFolder) -> int:
+    return main(["lift", str(lift.path), "--refine"])
+
+
+@pytest.fixture
+def draft(tmp_path: Path) -> Iterator[LiftFolder]:
+    """A draft whose chair and cabinet were removed in turn; a preview is as small."""
+    scene = tiny_scene.write_tiny_scene(tmp_path / "room", frames=6)
+    with presets_as(draft=replace(TINY, name="draft", trained=0.3), preview=TINY):
+        lift = lift_into(tmp_path / "lift", LiftRequest(scene=scene, preset="draft"))
+        for name in ("chair 1", "cabinet 1"):
+            plates.remove(lift, [name])
+        yield lift
+
+
+def test_fills_are_made_anew_in_their_order_also_after_the_lift_was_stopped(
+    draft: LiftFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before, calls, fill_of = [fill_in_use(draft, edit) for edit in read_edits(draft.path)], [], plates.removal.fill_of
+
+    def stopped_at_the_second(*given: Any, **named: Any) -> Fill:
+        calls.append(given)
+        if len(calls) == 2:
+            draft.cancel_path.touch()
+        return fill_of(*given, **named)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(plates.removal, "fill_of", stopped_at_the_second)
+        assert refine(draft) == ExitCode.CANCELLED and len(calls) == 2
+    edits = read_edits(draft.path)
+    assert [fill_in_use(draft, edit) for edit in edits] == before, "the earlier result is as it was"
+    assert refine(draft) == 0 and read_edits(draft.path) == edits
+    made = [fill_in_use(draft, edit) for edit in edits]
+    assert not {*made} & {*before}
+    for _ in edits:
+        undo(draft.path)
+    fresh = [fill_in_use(draft, plates.remove(draft, [name])[0]) for name in ("chair 1", "cabinet 1")]
+    assert made == fresh, "as if they were removed from the new lift"
+
+
+def fill_in_use(lift: LiftFolder, edit: Edit) -> str:
+    """What tells a fill from others."""
+    fill = MadeResult.read(lift.path).fill_of(edit)
+    return hashlib.sha256(b"".join(each.tobytes() for each in vars(fill).values())).hexdigest()
+
+
+def test_a_fill_that_cannot_be_made_anew_is_told(draft: LiftFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+    chair, cabinet = read_edits(draft.path)
+    elsewhere = replace(cabinet.objects[0], low=(90.0, 90.0, 90.0), high=(91.0, 91.0, 91.0))
+    with editing(draft.path) as edits:
+        edits[1] = replace(cabinet, objects=(elsewhere,))
+    before = fill_in_use(draft, chair)
+
+    def gone(*_: object, **__: object) -> Fill:
+        correct(draft.path, lambda state, _: making.remove(state, [cabinet.objects[0].id], "f1", digest))
+        raise PlgsError("scene-gone", "the scene is not there", draft.path, "")
+
+    digest = write_fill(path_of(draft.path, "f1"), NOTHING)
+    monkeypatch.setattr(plates.removal, "fill_of", gone)
+    assert refine(draft) == 0 and fill_in_use(draft, chair) == before
+    told = warnings_in(draft.events_path)[-4:]
+    assert "was not applied: object" in told[0] and "remove it by its present name" in told[1]
+    assert "in place of chair 1" in told[2] and "the scene is not there: put it back" in told[2]
+    assert "in place of cabinet 1" in told[3] and "it was removed while the lift ran: put it back" in told[3]

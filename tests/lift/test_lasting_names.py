@@ -15,7 +15,8 @@ from engine.instances.records import SceneObject
 from engine.job import EventWriter, LiftFolder, LiftRequest, read_manifest, write_manifest
 from engine.lift import run as lift_run
 from engine.lift import scene_files
-from engine.lift.lasting_names import EarlierLift, lasting_names, read_earlier, report_edits, take_over_edits
+from engine.lift.kept_corrections import report_edits, take_over_edits
+from engine.lift.lasting_names import EarlierLift, lasting_names, read_earlier
 from engine.passes.exr import read_exr
 from engine.result_files import SemanticPoints, read_arrays
 from engine.scene import Category, ClassTable, open_scene
@@ -194,7 +195,7 @@ def test_corrections_of_the_old_lift_are_kept_or_reported_as_lost(tmp_path: Path
     events = EventWriter(new.events_path)
     for _ in range(2):  # a lift that is resumed does it again
         take_over_edits(new, earlier)
-    report_edits(new, earlier, events)
+    report_edits(new, earlier, {}, events)
     events.close()
     assert [edit.kind for edit in read_edits(new.path)] == ["rename", "split", "delete"]
     assert {one.id: one.name for one in read_corrected(new.path).instances} == {1: "chair 1", 2: "desk", 4: "chair 2"}

@@ -12,6 +12,7 @@ from engine.job import Checkpoint, EventReader, EventWriter, LiftFolder, LiftReq
 from engine.job import progress as job_progress
 from engine.job.progress import Course, StageReporter
 from engine.lift import run
+from engine.plates import make_fills
 from engine.presets.preset import PRESETS
 from engine.scene import PanopticMask, Segment, load_view, open_scene
 from engine.train.trainer import StepReport
@@ -111,7 +112,7 @@ def test_names_from_is_refused_when_no_objects_are_searched_for(stages: StageRep
     request = LiftRequest(scene=tmp_path, names_from=tmp_path / "first", options={"objects": "none"})
     folder = LiftFolder.create(tmp_path / "lift", request)
     with raises_key("names-of-no-objects"):
-        run.run_lift(folder, stages.events, StopSignal(folder.cancel_path), resume=False)
+        run.run_lift(folder, stages.events, StopSignal(folder.cancel_path), resume=False, make_fills=make_fills)
 
 
 @pytest.mark.parametrize(

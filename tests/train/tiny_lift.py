@@ -13,6 +13,7 @@ from engine.job.progress import StageReporter
 from engine.lift.preparation import PreparedLift, ViewsToLift, prepare
 from engine.lift.run import STAGES, run_lift
 from engine.model.growing import GrowthRules
+from engine.plates import make_fills
 from engine.presets.preset import PRESETS, Growth, Preset, Schedule
 from engine.scene import ClassTable, View, load_view, open_scene
 from engine.train import warm_start
@@ -69,7 +70,7 @@ def run(folder: LiftFolder, *, resume: bool = False) -> None:
     events = EventWriter(folder.events_path)
     events.hello(threads=1, resumed=resume)
     try:
-        run_lift(folder, events, StopSignal(folder.cancel_path), resume=resume)
+        run_lift(folder, events, StopSignal(folder.cancel_path), resume=resume, make_fills=make_fills)
     finally:
         events.close()
 
