@@ -26,7 +26,7 @@ from . import (
     seven_scenes,
 )
 from .capture import Capture, SceneFormat, Shot
-from .photos import LET_COLMAP, finished_models, is_film, photos_in
+from .photos import CONVERT, LET_COLMAP, finished_models, is_film, photos_in
 from .tum import FORMAT as TUM
 
 FORMATS: tuple[SceneFormat, ...] = (
@@ -105,14 +105,14 @@ def _unknown(place: Path, known: Iterable[str]) -> PlgsError:
         fix = f"Name one of them, such as {inner[0]}, or lift all: python -m engine batch {place}/* -o OUT."
         what = f"this folder itself is not a scene, but holds {listed([each.name for each in inner])}"
         return PlgsError("inner-scenes", what, place, fix)
+    if all(any(word in each.name.lower() for each in entries) for word in ("depth", "pose")):
+        what = "there are depth and poses, but not in a layout that PLGS reads"
+        return PlgsError("loose-folders", what, place, CONVERT)
     if film or (place.is_dir() and photos_in(place) is not None):
         fix = (
             f"{'A film needs' if film else 'Photos need'} poses: record with an app that keeps them (Record3D, "
             f"Polycam, Stray Scanner), or {LET_COLMAP}."
         )
         return PlgsError("no-poses", what, place, fix, code=ErrorCode.NO_POSES)
-    fix = (
-        "Photos and films need poses: record with an app that keeps them (Record3D, Polycam, Stray Scanner), or make "
-        f"them with COLMAP. Name a layout to see what it lacks: --format {',  '.join(known)}."
-    )
+    fix = f"{CONVERT} Or name a layout to see what it lacks: --format {',  '.join(known)}."
     return PlgsError("no-format", what, place, fix, option="--format")

@@ -21,6 +21,10 @@ from ..frame import Size
 SUFFIXES = {".jpg", ".jpeg", ".png"}
 _MODELS = {".ply", ".spz", ".splat", ".obj", ".glb", ".gltf", ".usdz", ".fbx", ".stl", ".las", ".laz"}
 LET_COLMAP = "let COLMAP find the poses with lift --poses colmap"  # a fix, for the end of a sentence
+CONVERT = (
+    "Convert it to color/NAME.jpg, depth/NAME.png (millimetres), pose/NAME.txt (4x4) and intrinsic/"
+    "intrinsic_color.txt, as docs/captures.md describes them under Layouts."
+)
 LEAST = 3  # the fewest photos whose poses can be found
 _NO_PHOTO = re.compile(r"(?<![a-z])(depths?|depth_?maps?|conf|confidence)(?![a-z])", re.IGNORECASE)
 _FOLDERS = ("images", "image", "rgb", "color", "input", ".")  # searched in the order of COLMAP's reader

@@ -29,13 +29,13 @@ from ..depth import png_depth
 from ..frame import Inferred, Size, left_out
 from .capture import Capture, Found, Progress, SceneFormat, Shot, frame_names, watched, with_picture
 from .lens import OPENCV_COUNTS, assumed, fitted, of_opencv, pinhole
+from .photos import CONVERT
 from .poses import nearest, numbers, quaternion_pose, read_rows
 
 _STEP = 1.0 / 5000.0
 _APART = 0.02  # maximum difference in seconds between a picture, its depth and its pose
 _POSE_FIX = "Write one pose on each line, t tx ty tz qx qy qz qw, with points in decimals."
 _LIST_FIX = "Write a time stamp and a file name on each line."
-_ICL_FIX = "Convert it to the folders color, depth, pose and intrinsic, as docs/captures.md describes them."
 _CALIBRATION = "calibration.txt"
 _LENS_FIX = f"Write fx fy cx cy of the pictures, and k1 k2 p1 p2 k3 if they are distorted, into {_CALIBRATION}."
 
@@ -150,7 +150,7 @@ def _read_poses(path: Path) -> list[_Pose]:
     poses: list[_Pose] = []
     for row in read_rows(path, _POSE_FIX):
         if row.words[0].isdecimal():
-            raise PlgsError("whole-time-stamps", "time stamps are frame numbers, as in ICL-NUIM", path, _ICL_FIX)
+            raise PlgsError("whole-time-stamps", "time stamps are frame numbers, as in ICL-NUIM", path, CONVERT)
         has_number = len(row.words) == 9 and row.words[8].isdecimal()
         values = numbers(row, path, _POSE_FIX, 9 if has_number else 8).tolist()
         time, tx, ty, tz, qx, qy, qz, qw = values[:8]
