@@ -320,11 +320,17 @@ def save_lift(lift: Path, blend: Path) -> None:
     if is_new:
         _dress(scene, root)
     relate(blend)  # a script's Blender may not have our handlers
+    saving = bpy.context.preferences.filepaths
+    kept = saving.save_version
+    if is_same_place(str(blend.parent), lift):  # the lift's own file: no lift.blend1 beside it
+        saving.save_version = 0
     try:
         bpy.ops.wm.save_as_mainfile(filepath=str(blend), compress=True)
     except RuntimeError as error:
         fix = "Choose a place that you may write to, on a disk with space."
         raise PlgsError("unwritable", f"cannot be written ({str(error).strip()})", blend, fix) from error
+    finally:
+        saving.save_version = kept
 
 
 def open_blend(blend: Path, lift: Path, named_by: str = "--save") -> bpy.types.Scene:

@@ -7,6 +7,7 @@ import argparse
 import json
 import math
 import os
+import shlex
 import sys
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -64,6 +65,10 @@ def _print_made(lift: LiftFolder) -> None:
 
     told = estimated_text(lift)
     print(metrics_text(read_metrics(lift)), *([told] if told else []), "", *made_files(lift), sep="\n")
+    blend = lift.path / "lift.blend"  # of run_plgs.py; the engine has no Blender
+    if blend.is_file() and blend.stat().st_mtime < lift.manifest_path.stat().st_mtime:
+        again = shlex.join(["run_plgs.py", str(lift.request.scene), "-o", str(lift.path), "--resume"])
+        print(f"warning: {blend} shows the earlier result; to make it anew: {again}", file=sys.stderr)
 
 
 def _lift_in_terminal(options: argparse.Namespace) -> int:

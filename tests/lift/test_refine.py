@@ -35,17 +35,20 @@ def files(folder: LiftFolder) -> dict[str, bytes]:
 def test_a_draft_lift_bakes_nothing_and_trains_fewer_steps(lifts: tuple[LiftFolder, LiftFolder]) -> None:
     draft, preview = lifts
     assert not draft.passes_path.exists() and any(preview.passes_path.glob("*.exr"))
+    assert ["Baking" in one.events_path.read_text() for one in lifts] == [False, True]
     assert [len(one.training_path.read_text().splitlines()) for one in lifts] == [1 + 4, 1 + 12]
     assert files(draft).keys() == files(preview).keys() and files(draft) != files(preview)
 
 
 def test_a_refined_draft_equals_a_preview_and_keeps_corrections(
-    lifts: tuple[LiftFolder, LiftFolder], monkeypatch: pytest.MonkeyPatch
+    lifts: tuple[LiftFolder, LiftFolder], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     draft, preview = lifts
+    (draft.path / "lift.blend").touch()
     with monkeypatch.context() as without:
         without.delattr(preparation, "warm_start")  # what it fits is there
         assert main(["lift", str(draft.path), "--refine"]) == 0
+    assert "lift.blend shows the earlier result" in capsys.readouterr().err
     assert files(draft) == files(preview) and warnings_in(draft.events_path) == warnings_in(preview.events_path)
     assert LiftFolder.open(draft.path).request == replace(preview.request, scene=draft.request.scene)
     assert "throne" in [one.name for one in read_corrected(draft.path).instances]

@@ -196,7 +196,10 @@ def test_a_saved_file_finds_its_lift_after_both_moved(lift: Path, tmp_path: Path
     shutil.copytree(lift.parent, tmp_path / "a")
     request = tmp_path / "a" / "lift" / "request.json"
     request.write_text(request.read_text().replace(str(lift.parent), str(tmp_path / "a")))
-    lift_scene.save_lift(tmp_path / "a" / "lift", tmp_path / "a" / "lift" / "lift.blend")
+    for blend in (tmp_path / "a" / "lift" / "lift.blend", tmp_path / "mine.blend"):
+        for _ in range(2):
+            lift_scene.save_lift(tmp_path / "a" / "lift", blend)
+    assert [path.name for path in tmp_path.rglob("*.blend1")] == ["mine.blend1"], "only of files beside lifts"
     (tmp_path / "a").rename(tmp_path / "b")
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "b" / "lift" / "lift.blend"))
     files = [image.filepath for image in bpy.data.images if LIFT in image and image.filepath]
