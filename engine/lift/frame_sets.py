@@ -13,7 +13,7 @@ import numpy as np
 from ..errors import ErrorCode, PlgsError
 from ..job import Checkpoint, EventWriter, LiftRequest
 from ..job.prediction import PIXEL, Prediction, predict
-from ..job.progress import StageProgress
+from ..job.progress import Progress
 from ..job.system import MainMemory, main_memory
 from ..posed.layout import of_most
 from ..presets.options import with_options
@@ -55,7 +55,7 @@ class FrameSets:
 
 
 def sets_of_frames(
-    scene: Scene, request: LiftRequest, checkpoint: Checkpoint | None, progress: StageProgress, events: EventWriter
+    scene: Scene, request: LiftRequest, checkpoint: Checkpoint | None, progress: Progress, events: EventWriter
 ) -> FrameSets:
     """Divide the frames of a scene by purpose, the same way as the lift to resume if there is a ``checkpoint``. Raises
     PlgsError if the frames need too much memory, are no longer in the scene, or have a bad file."""

@@ -86,8 +86,8 @@ def read_earlier(folder: Path) -> EarlierLift:
         raise PlgsError("names-unreadable", what, result, _FIX, option="--names-from") from error
     names, class_names = {one.id: one.name for one in listed}, {one.id: one.class_name for one in listed}
     numbers = dict.fromkeys(class_names.values(), 0) | numbers
-    given = [name for edit in edits for name in (*edit.names, *(one.name for one in edit.made))]
-    for kind, _, digits in (name.rpartition(" ") for name in (*names.values(), *given)):  # "chair", "3"
+    edited = [name for edit in edits for name in (*edit.names, *(one.name for one in edit.made))]
+    for kind, _, digits in (name.rpartition(" ") for name in (*names.values(), *edited)):  # "chair", "3"
         if kind and digits.isdecimal() and len(digits) < len(str(LARGEST_NUMBER)):
             numbers[kind] = max(numbers.get(kind, 0), int(digits))
     return EarlierLift(lift.path, names, class_names, points.xyz, points.instance_id, largest, numbers, edits)
