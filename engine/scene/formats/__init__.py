@@ -93,7 +93,7 @@ def _unknown(place: Path, known: Iterable[str]) -> PlgsError:
         return PlgsError("models-only", what, place, f"{app}{_EXPORT_SCAN}")
     if place.suffix.lower() == ".zip" and place.is_file():
         return PlgsError("archive", "this is an archive", place, f"Unpack it ({_UNPACK}), and name the folder.")
-    if place.is_dir() and (place / "rgb").is_dir() and any(shown_files(place, "*poses.txt")):
+    if place.is_dir() and (place / "rgb").is_dir() and any(shown_files(place, "*_poses.txt")):
         return PlgsError("rtabmap", "these are RTAB-Map's poses, but not in a layout that PLGS reads", place, _RTABMAP)
     entries = sorted(shown_files(place)) if place.is_dir() else []
     if photos := [each.name for each in entries if each.suffix.lower() in _OTHER_PHOTOS]:
@@ -105,10 +105,12 @@ def _unknown(place: Path, known: Iterable[str]) -> PlgsError:
         fix = f"Name one of them, such as {inner[0]}, or lift all: python -m engine batch {place}/* -o OUT."
         what = f"this folder itself is not a scene, but holds {listed([each.name for each in inner])}"
         return PlgsError("inner-scenes", what, place, fix)
-    if all(any(word in each.name.lower() for each in entries) for word in ("depth", "pose")):
-        what = "there are depth and poses, but not in a layout that PLGS reads"
-        return PlgsError("loose-folders", what, place, CONVERT)
-    if film or (place.is_dir() and photos_in(place) is not None):
+    has_photos = place.is_dir() and photos_in(place) is not None
+    has_depth, has_poses = (any(word in each.name.lower() for each in entries) for word in ("depth", "pose"))
+    if has_poses and (has_photos or has_depth):
+        what = "there are poses, but not in a layout that PLGS reads"
+        return PlgsError("loose-folders", what, place, f"{CONVERT} Or {LET_COLMAP}.")
+    if film or has_photos:
         fix = (
             f"{'A film needs' if film else 'Photos need'} poses: record with an app that keeps them (Record3D, "
             f"Polycam, Stray Scanner), or {LET_COLMAP}."

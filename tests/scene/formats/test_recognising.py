@@ -50,6 +50,7 @@ def test_a_folder_that_matches_two_formats_requires_a_choice(tmp_path: Path) -> 
         (["1.ply", "2.ply"], "models-only", False),
         (["mesh.ply", "images/1.jpg", "images/2.jpg", "images/3.jpg"], "no-poses --poses", True),
         (["rgb/1.png", "rgb/2.png", "rgb/3.png", "depths/1.png", "poses/1.txt"], "loose-folders pose/NAME.txt", False),
+        (["rgb/1.png", "rgb/2.png", "rgb/3.png", "poses.txt"], "loose-folders --poses", False),
         (["1_pose.txt", "1_depth.png", "1_rgb.png", "2_rgb.png", "3_rgb.png"], "loose-folders docs/captures.md", False),
         (["rtabmap_poses.txt", "rgb/1.jpg", "rgb/2.jpg", "rgb/3.jpg"], "rtabmap groundtruth.txt", False),
     ],
