@@ -19,6 +19,8 @@ from pathlib import Path
 
 NETWORKS = {"segment", "depth", "film"}
 """Commands that run a network."""
+SURFACES = "export"
+"""The command that makes surfaces."""
 PYTHON = """#!{python} -IS
 import json, os, socket, sys
 server = socket.socket(socket.AF_UNIX)
@@ -68,6 +70,8 @@ def serve(listening: socket.socket) -> None:
             import_engine()
         if NETWORKS & {*arguments}:
             import_for_transformers()
+        if SURFACES in arguments:
+            import_open3d()
         child = os.fork()
         if child == 0:
             for number, descriptor in enumerate(descriptors):
@@ -99,6 +103,12 @@ def import_for_transformers() -> None:
     """Import what transformers imports of torch, but not transformers, which reads the environment when imported."""
     import torch._dynamo
     import torch.distributed.tensor  # noqa: F401
+
+
+@cache
+def import_open3d() -> None:
+    """Import it with all that it brings, which takes longer than the surface of a tiny room."""
+    import open3d.t.geometry  # noqa: F401
 
 
 def await_end(child: int, client: socket.socket) -> None:
