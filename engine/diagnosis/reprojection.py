@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..scene import Camera, Frame, Scene, Size, size_within
+from ..scene import Camera, Frame, Scene, Size, read_ahead, size_within
 from ..scene.depth import compared
 from ..scene.pixels import resize_nearest
 
@@ -76,41 +76,40 @@ def pairs_of(count: int) -> Pairs:
 def load_looks(frames: Sequence[Frame], sample: Sample) -> list[Look]:
     """Load the depth of the sample's frames that have depth. Raises PlgsError for bad files."""
     looks, kernel = [], np.ones((3, 3), np.uint8)
-    for number in sample.numbers(len(frames)):
-        frame = frames[number]
-        if frame.read_depth is None:
-            continue
-        depth = frame.depth(None)
-        step = _stride_for(depth.shape[1])
-        if step > 1:  # the middle pixel of each block, so that nothing moves by half a pixel
-            rows, columns = (np.arange(length // step) * step + step // 2 for length in depth.shape)
-            depth = np.ascontiguousarray(depth[rows[:, None], columns])
+    numbers = [number for number in sample.numbers(len(frames)) if frames[number].read_depth is not None]
+    for number, depth in zip(numbers, read_ahead([frames[number] for number in numbers], _small_depth), strict=True):
         nearest, farthest = cv2.erode(depth, kernel), cv2.dilate(depth, kernel)
         smooth = (nearest > 0.0) & (farthest < _SMOOTH_AROUND * nearest)
         smooth[[0, -1]] = smooth[:, [0, -1]] = False  # their neighbours outside are unknown
         rows, columns = np.nonzero(smooth)
         chosen = np.random.default_rng(number).permutation(len(rows))[:_POINTS]  # the same each time
         if len(chosen):
-            points = np.stack([columns[chosen], rows[chosen]], axis=-1).astype(np.int32)
+            points, frame = np.stack([columns[chosen], rows[chosen]], axis=-1).astype(np.int32), frames[number]
             looks.append(Look(number, frame, frame.camera.resized(*depth.shape[::-1]), depth, points))
     return looks
 
 
+def _small_depth(frame: Frame) -> NDArray[np.float32]:
+    depth = frame.depth(None)
+    step = _stride_for(depth.shape[1])  # the middle pixel of each block, so that nothing moves by half a pixel
+    rows, columns = (np.arange(length // step) * step + step // 2 for length in depth.shape)
+    return np.ascontiguousarray(depth[rows[:, None], columns])
+
+
 def load_photos(frames: Sequence[Frame], sample: Sample) -> dict[int, Photo]:
     """Load the pictures of the sample's frames, by the frames' indices. Raises PlgsError for bad files."""
-    photos = {}
-    for number in sample.numbers(len(frames)):
-        grey = cv2.cvtColor(frames[number].read_colour(None), cv2.COLOR_RGB2GRAY)
-        height, width = grey.shape
-        step = _stride_for(width)
-        if step > 1:
-            grey = cv2.resize(grey, (width // step, height // step), interpolation=cv2.INTER_AREA)
-        height, width = grey.shape
-        if width > _PHOTO_WIDTH:
-            size = (_PHOTO_WIDTH, round(height * _PHOTO_WIDTH / width))
-            grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
-        photos[number] = Photo(number, frames[number].name, grey.astype(np.uint8))
-    return photos
+    numbers = sample.numbers(len(frames))
+    greys = read_ahead([frames[number] for number in numbers], _small_grey)
+    return {number: Photo(number, frames[number].name, grey) for number, grey in zip(numbers, greys, strict=True)}
+
+
+def _small_grey(frame: Frame) -> NDArray[np.uint8]:
+    grey = cv2.cvtColor(frame.read_colour(None), cv2.COLOR_RGB2GRAY)
+    step = _stride_for(grey.shape[1])
+    grey = cv2.resize(grey, (grey.shape[1] // step, grey.shape[0] // step), interpolation=cv2.INTER_AREA)
+    width = min(grey.shape[1], _PHOTO_WIDTH)
+    size = width, round(grey.shape[0] * width / grey.shape[1])
+    return cv2.resize(grey, size, interpolation=cv2.INTER_AREA).astype(np.uint8)
 
 
 def _stride_for(width: int) -> int:

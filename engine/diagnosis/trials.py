@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..scene import made_ahead
 from .reprojection import Assumption, Floats, Pairs, Views
 
 _PARAMETERS = ("unit", "focal", "aspect", "x", "y", "ray")
@@ -201,8 +202,9 @@ def find_cause(views: Views, pairs: Pairs, lens_is_doubtful: bool = False) -> Fo
     With ``lens_is_doubtful``, a cause in the lens comes before others that explain them about as well."""
     before = agreement(views, pairs, Assumption())
     best_of: dict[str, tuple[Agreement, Trial]] = {}
-    for trial in _trials(views):
-        after = agreement(views, pairs, trial.assumed)
+    trials = [*_trials(views)]
+    tried = made_ahead(trials, lambda trial: agreement(views, pairs, trial.assumed))
+    for trial, after in zip(trials, tried, strict=True):
         if trial.cause not in best_of or after.mean > best_of[trial.cause][0].mean:
             best_of[trial.cause] = (after, trial)
     leading = sorted(best_of.values(), key=lambda each: -each[0].mean)[:_KINDS_COMPARED]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ..presets.preset import EvidenceKind
-from ..scene import OnDemand, Segment, View, chained, evidence, resolution_of
+from ..scene import VOID, OnDemand, Segment, View, chained, evidence, made_ahead, resolution_of
 from .records import ObjectMask
 from .segments import edge_distance
 
@@ -74,7 +74,7 @@ class ViewsOnCloud:
     def looked_at(self, progress: Callable[[int, int], object]) -> ViewsOnCloud:
         """Return the same views, with ``seen`` computed now and kept in memory. Calls ``progress`` after each view."""
         seen = []
-        for done, one in enumerate(self.seen, start=1):
+        for done, one in enumerate(made_ahead(range(len(self.seen)), self.seen.__getitem__), start=1):
             seen.append(one)
             progress(done, len(self.views))
         return replace(self, seen=seen)
@@ -171,9 +171,11 @@ def view_points(view: View, point_of_pixel: NDArray[np.int32]) -> ViewPoints:
 
 def shown_classes(view: View, summary: ViewPoints) -> NDArray[np.int32]:
     """Return the class id that a ``view`` shows at each point of its ``summary``, int32 [n], 0 = none."""
-    class_of = {segment.id: segment.class_id for segment in view.mask.segments}
-    present, inverse = np.unique(summary.segment, return_inverse=True)
-    return np.array([class_of.get(int(segment), 0) for segment in present], np.int32)[inverse.reshape(-1)]
+    class_of = {0: VOID} | {segment.id: segment.class_id for segment in view.mask.segments}
+    ids = np.array(sorted(class_of))
+    column = np.minimum(np.searchsorted(ids, summary.segment), len(ids) - 1)
+    classes = np.array([class_of[one] for one in ids.tolist()], np.int32)
+    return np.where(ids[column] == summary.segment, classes[column], np.int32(VOID))
 
 
 def votes_of_views(

@@ -21,7 +21,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ..presets.preset import EvidenceKind, ViewEvidence
-from ..scene import Progress, View, evidence, watched
+from ..scene import Progress, View, evidence, made_ahead, watched
 from .agreement import ViewPoints
 from .panoptic_labels import UNBALANCED, ClassBalance
 from .records import ObjectMask, SceneObject, fit_box
@@ -102,8 +102,8 @@ def held_back_agreement(
         own = np.bincount(owner * classes + column, share, count * classes).reshape(count, classes)
         of_objects += own
         said.append((row, column, owner, weight, share, own))
-    as_one, as_points = np.zeros(count), np.zeros(count)
-    for numbers in frames:
+
+    def without(numbers: Sequence[int]) -> NDArray[np.float64]:
         row, column, owner, weight, share = (np.concatenate([said[n][k] for n in numbers]) for k in range(5))
         rest = of_objects - sum(said[n][5] for n in numbers)
         one = np.where(rest.max(1) > 1e-9, rest.argmax(1), -1)[owner]
@@ -112,8 +112,9 @@ def held_back_agreement(
         np.subtract.at(others, (at, column), weight)
         each = np.where(others.max(1, initial=0) > 1e-6, others.argmax(1), -1)[at]
         each = np.where(each >= 0, each, one)
-        as_one += np.bincount(owner, share * (one == column), count)
-        as_points += np.bincount(owner, share * (each == column), count)
+        return np.stack([np.bincount(owner, share * (column == shown), count) for shown in (one, each)])
+
+    as_one, as_points = sum(made_ahead(frames, without), np.zeros((2, count)))
     return as_one >= as_points
 
 

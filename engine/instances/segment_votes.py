@@ -25,7 +25,7 @@ from scipy.spatial import cKDTree
 
 from ..machine.threads import worker_count
 from ..presets.preset import EvidenceKind, SegmentVoting
-from ..scene import VOID, OnDemand, PanopticMask, Progress, View, evidence, resolution_of, watched
+from ..scene import VOID, OnDemand, PanopticMask, Progress, View, evidence, made_ahead, resolution_of, watched
 from ..scene.pixels import distinct_ids, numbered_labels
 from .agreement import ViewPoints, ViewsOnCloud
 from .panoptic_labels import UNKNOWN_LABEL, PanopticLabels, decide_labels
@@ -61,12 +61,12 @@ def vote_panoptic_labels(
     def step(*_: int) -> None:
         progress(next(done), (1 + options.rounds) * (len(views) + len(chosen) * (1 + options.near)))
 
-    def decided(maps: Iterable[NDArray[np.int16]]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-        votes = _votes(watched(views, step), maps, point_of_pixel, size=(points, len(labels)), kind=kind)
+    def decided(maps: Sequence[NDArray[np.int16]]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+        votes = _votes(seeing, maps, (points, len(labels)), kind, step)
         shared = votes if neighbours is None else _Votes(*(own + neighbours @ own for own in votes))
-        label, share = _winners(shared.asked, labels, watched(chosen, step))
-        if options.near:  # votes by density decide, where most of them come from segments that are seen as a whole
-            nearer, nearer_share = _winners(shared.near, labels, watched(chosen, step))
+        kinds = (shared.asked, shared.near) if options.near else (shared.asked,)
+        (label, share), *by_density = made_ahead(kinds, lambda of: _winners(of, labels, watched(chosen, step)))
+        for nearer, nearer_share in by_density:  # decide where most come from segments that are seen as a whole
             rows = np.flatnonzero((nearer != label) & (nearer >= 0))
             if len(rows):
                 whole, all_ = (np.asarray(of[rows, nearer[rows]]).reshape(-1) for of in (shared.whole, shared.near))
@@ -74,7 +74,7 @@ def vote_panoptic_labels(
                 label[rows], share[rows] = nearer[rows], nearer_share[rows]
         return label, share
 
-    label, share = decided(member_labels(view, labels, object_of_segment) for view in views)
+    label, share = decided(OnDemand(len(views), lambda n: member_labels(views[n], labels, object_of_segment)))
     for _ in range(options.rounds):
         label, share = decided(view_labels(views, point_of_pixel, label, len(labels)))
     return label, share
@@ -136,19 +136,14 @@ class _Votes(NamedTuple):
 
 
 def _votes(
-    views: Iterable[View],
-    maps: Iterable[NDArray[np.int16]],
-    point_of_pixel: Iterable[NDArray[np.int32]],
-    *,
-    size: tuple[int, int],
-    kind: EvidenceKind,
+    seeing: ViewsOnCloud, maps: Sequence[NDArray[np.int16]], size: tuple[int, int], kind: EvidenceKind, step: Progress
 ) -> _Votes:
     """Sum the votes of all views; ``maps``: the labels of their pixels; ``size``: the numbers of points and of labels.
     In each view a point's pixels share the view's votes on it."""
     points, count = size
-    total = [sparse.csr_matrix((points, count), dtype=np.float32)] * 3
-    parts: list[tuple[NDArray[np.int64], NDArray[np.float32]]] = []
-    for view, labels, rows in zip(views, maps, point_of_pixel, strict=True):
+
+    def of_view(number: int) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+        view, labels, rows = seeing.views[number], maps[number], seeing.point_of_pixel[number]
         seen = rows >= 0
         pixels = np.bincount(rows[seen], minlength=points)
         safe = np.maximum(pixels, 1)
@@ -162,7 +157,13 @@ def _votes(
         point = pairs // count
         amount = pixels[point] * view.mask_scale**2, resolution[point]
         asked, near = (evidence(each, *amount) / safe[point] for each in (kind, "density"))
-        parts.append((pairs, np.stack([shown * asked, shown * near, whole * near]).astype(np.float32)))
+        return pairs, np.stack([shown * asked, shown * near, whole * near]).astype(np.float32)
+
+    total = [sparse.csr_matrix((points, count), dtype=np.float32)] * 3
+    parts: list[tuple[NDArray[np.int64], NDArray[np.float32]]] = []
+    for number, part in enumerate(made_ahead(range(len(seeing.views)), of_view)):
+        step(number, len(seeing.views))
+        parts.append(part)
         if len(parts) == VIEWS_AT_A_TIME:
             total, parts = _added(total, parts), []
     return _Votes(*_added(total, parts))

@@ -193,18 +193,19 @@ def bake_and_evaluate(
             began, is_baked = time.monotonic(), frame.name in baked_names
             size = frame.size if scored is None or is_baked else size_within(frame.size, scored)
             camera = frame.camera.resized(*size)
-            view = (shown if is_baked else baker).render(camera)
+            view = shown.render(camera) if is_baked else None
+            layers = baker.layers(camera) if view is None else view.layers
             seconds.append(time.monotonic() - began)
-            if is_baked:
+            if view is not None:
                 shown.write(folder, names.get(frame.name, frame.name), view, events)
                 if shown is not baker and (frame.held_out or frame.name in on_sheet):
-                    view = baker.render(camera)
+                    layers = baker.layers(camera)
             if frame.held_out:
-                report.add(LIFTED, frame, predicted(view.layers))
+                report.add(LIFTED, frame, predicted(layers))
             if frame.name in on_sheet:
                 photo, mask = frame.read_colour(size), frame.mask(size)
-                rows.append(SheetRow(frame.name, photo, mask.class_map(), view.layers))
-            del view  # frees its memory before the next is made
+                rows.append(SheetRow(frame.name, photo, mask.class_map(), layers))
+            del view, layers  # frees their memory before the next are made
             progress(done, len(frames))
         if rows:
             write_contact_sheet(folder.previews_path / "contact_sheet.png", rows, scene.classes, baker.colours)

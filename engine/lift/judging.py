@@ -20,7 +20,7 @@ from ..metrics.unshown import JudgedView, Unshown, find_unshown
 from ..model.detail import finest_pixels
 from ..passes.layers import PanopticLayers
 from ..scene import Camera, ClassTable, Scene, Size, size_within
-from ..scene.view import OnDemand, StoredViews, View, chained, load_view, read_ahead, stored
+from ..scene.view import OnDemand, StoredViews, View, chained, load_view, made_ahead, read_ahead, stored
 
 log = logging.getLogger("plgs.lift")
 
@@ -79,12 +79,11 @@ def judge(
 
     def drawn() -> Iterator[NDArray[np.int32]]:
         """Yield the rendered class map of each view, int32 [H, W]; add up to ``most`` pixels to ``samples``."""
-        for number in range(len(every)):
-            view = every[number]
-            seen = draw(view.camera)
+        drawings = made_ahead(every, lambda view: (view, draw(view.camera)))
+        for number, (view, seen) in enumerate(drawings, start=1):
             samples.append(samples_of(view, seen.semantic, seen.confidence, most))
             yield seen.semantic
-            progress(number + 1, len(every))
+            progress(number, len(every))
 
     classes = stored(drawn(), scratch)
     judged = Samples(*map(np.concatenate, zip(*samples[len(trained) if len(held_back) else 0 :], strict=True)))

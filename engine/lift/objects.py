@@ -27,7 +27,7 @@ from ..instances.weak_masks import ViewAgreement, agreement_of_views, class_bala
 from ..job.progress import StageProgress
 from ..presets.parts import Parts
 from ..presets.preset import Preset, ViewEvidence
-from ..scene import VOID, ClassTable, OnDemand, Progress, View, stored, watched
+from ..scene import VOID, ClassTable, OnDemand, Progress, View, made_ahead, stored, watched
 from ..semantics.point_cloud import SemanticPointCloud
 
 CONSENSUS = ConsensusOptions()
@@ -221,7 +221,8 @@ def point_of_pixels(
     """Return, for each view, the index of the cloud's point that every pixel shows, int32 [H, W], -1 = none. The arrays
     are stored in temporary files in ``scratch``."""
     index, reach = cloud.index(), 2 * cloud.spacing
-    return stored((index.nearest_of_pixels(view.camera, view.depth, reach) for view in views), scratch)
+    rows = made_ahead(views, lambda view: index.nearest_of_pixels(view.camera, view.depth, reach))
+    return stored(rows, scratch)
 
 
 def no_objects(given: ViewsToMatch, preset: Preset, progress: StageProgress) -> Matching:

@@ -21,7 +21,7 @@ from ..model.decoders import DECODERS, DecoderShape
 from ..model.structured import NO_OBJECT, SPARE, LabelChannels, StructuredScene, to_tensors
 from ..posed.layout import plural
 from ..presets.preset import Preset
-from ..scene import VOID, ClassTable, OnDemand, Progress, View, stored
+from ..scene import VOID, ClassTable, OnDemand, Progress, View, made_ahead, stored
 from ..scene.hole_filling import fill_holes
 from ..semantics.cloud_index import LabelledPoints
 from ..semantics.consistency import ConsistencyOptions, consistency_masks, views_are_sparse
@@ -128,7 +128,7 @@ def semantic_cloud(
 
 def filled_views(views: Sequence[View], scratch: Path | None = None) -> OnDemand[View]:
     """Return the views with planar holes in their depth filled, computed now and kept in ``scratch``."""
-    depths = stored((fill_holes(view.depth, view.mask.ids) for view in views), scratch)
+    depths = stored(made_ahead(views, lambda view: fill_holes(view.depth, view.mask.ids)), scratch)
     return OnDemand(len(views), lambda number: replace(views[number], depth=depths[number]))
 
 

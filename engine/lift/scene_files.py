@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any
 
 import numpy as np
 import torch
@@ -25,7 +27,7 @@ from ..model.structured import StructuredScene, from_tensors, to_tensors
 from ..passes.baked_view import ShownInstances
 from ..passes.ply import write_splats
 from ..result_files import ANCHORS, INSTANCES, SEMANTIC_POINTS
-from ..scene import ClassTable, Progress, Scene, View, distinct_colour, watched
+from ..scene import ClassTable, Progress, Scene, View, distinct_colour, made_ahead, watched
 from ..scene.view import NEAR
 from ..semantics.point_cloud import SemanticPointCloud
 from .judging import evenly
@@ -56,26 +58,35 @@ def write_scene_files(
     """Write the parts of the result that need no rendering. ``views`` were trained on; masks of views ``held_back``
     calibrate the points' confidence. Only points with ``seen`` bool [N] are written; Gaussians and anchors far from all
     points go only into the model. ``names`` are the objects', by id. Raises OSError if the disk is full."""
-    cloud, owner = prepared.cloud, prepared.instance_of_point
-    judged, listed, baked = (part_of(progress, part / 3, (part + 1) / 3, 100) for part in range(3))
-    judging = watched(evenly(views, MOST_JUDGES), judged)
-    likely = calibrate(Samples(cloud.xyz, cloud.class_id, cloud.confidence), judging, held_back)
+    cloud, owner, result = prepared.cloud, prepared.instance_of_point, folder.result_path
     viewpoint = np.mean([frame.camera.centre for frame in scene.train_frames], axis=0)
+    judging = watched(evenly(views, MOST_JUDGES), part_of(progress, 0.0, 0.4, 100))
+    makers = (
+        partial(calibrate, Samples(cloud.xyz, cloud.class_id, cloud.confidence), judging, held_back),
+        partial(listed_instances, views, prepared, owner[seen], scene.classes, names),
+        partial(bake, lifted, viewpoint, scene.classes.thing_ids),
+    )
+    likely, instances, (gaussians, anchors) = _all_of(*makers)
     points = result_files.SemanticPoints(
         cloud.xyz[seen], cloud.rgb[seen], cloud.class_id[seen], owner[seen], likely(cloud.confidence[seen])
     )
-    instances = listed_instances(watched(views, listed), prepared, owner[seen], scene.classes, names)
-    result = folder.result_path
-    gaussians, anchors = bake(lifted, viewpoint, scene.classes.thing_ids, baked)
     near = is_within(max(FILLED, 2 * lifted.voxel_size), anchors.xyz, points.xyz)
     anchors = result_files.Anchors(**{name: values[near] for name, values in vars(anchors).items()})
-    result_files.write_arrays(result / SEMANTIC_POINTS, points)
-    result_files.write_instances(result / INSTANCES, scene.classes, instances)
-    result_files.write_arrays(result / ANCHORS, anchors)
-    write_splats(result / "gaussians.ply", gaussians.without_floaters(points.xyz))
-    write_model(folder, lifted)
+    _all_of(
+        partial(result_files.write_arrays, result / SEMANTIC_POINTS, points),
+        partial(result_files.write_instances, result / INSTANCES, scene.classes, instances),
+        partial(result_files.write_arrays, result / ANCHORS, anchors),
+        lambda: write_splats(result / "gaussians.ply", gaussians.without_floaters(points.xyz)),
+        partial(write_model, folder, lifted),
+    )
+    progress(1, 1)
     for name in (SEMANTIC_POINTS, INSTANCES, ANCHORS, "gaussians.ply", MODEL):
         events.artifact(result / name, name.partition(".")[0])
+
+
+def _all_of(*makers: Callable[[], Any]) -> list[Any]:
+    """Call functions, two at a time, and return what they return."""
+    return list(made_ahead(makers, lambda make: make()))
 
 
 def is_near_measured(

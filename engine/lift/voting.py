@@ -53,13 +53,12 @@ def vote_labels(
     label_of_point = label_of_point.astype(np.int16)  # the last is that of pixels without a point
     point_index, reach = cloud.index(), 2 * cloud.spacing
     rounds = ROUNDS if prepared.masks_agree else 1
-    voting_frames = _VotingFrames(scene, frames, preset, scratch, most_bytes=MOST_BYTES)
+    voting_frames = _VotingFrames(scene, preset, scratch, most_bytes=MOST_BYTES)
     named = NamedGaussians(len(scene.anchors) * scene.anchors.gaussians_per_anchor)
     voted: GaussianLabels | None = None
     for number in range(rounds):
         votes = LabelVotes(scene, preset.evidence.gaussians)
-        for index in range(len(frames)):
-            frame = voting_frames.at(index)
+        for index, frame in enumerate(read_ahead(frames, voting_frames.of)):
             if prepared.masks_agree:
                 shown = pixel_labels(scene, voted, frame.seen) if voted else resize_nearest(maps[index], frame.size)
                 shown = segment_labels(frame.mask, shown, len(labels))
@@ -75,9 +74,10 @@ def vote_labels(
     labelled = settled(scene, voted, named.are_named, points)
 
     def some_views() -> Iterator[Contributors]:
-        for index in range(0, len(frames), -(-len(frames) // MOST_VIEWS)):
-            yield voting_frames.at(index).seen
-            progress(rounds * len(frames) + index + 1, (rounds + 1) * len(frames))
+        step = -(-len(frames) // MOST_VIEWS) or 1
+        for done, frame in enumerate(read_ahead(frames[::step], voting_frames.of)):
+            yield frame.seen
+            progress(rounds * len(frames) + step * done + 1, (rounds + 1) * len(frames))
 
     found = objects_in_view(scene, labelled, some_views(), points)
     if (found.share < LEAST_SHOWN).any():
@@ -103,28 +103,25 @@ class _VotingFrame:
 class _VotingFrames:
     """The frames that vote. Each is rendered once and kept on disk, as long as all take at most ``most_bytes``."""
 
-    def __init__(
-        self, scene: StructuredScene, frames: Sequence[Frame], preset: Preset, scratch: Path | None, most_bytes: int
-    ) -> None:
-        self.scene, self.frames, self.preset, self.most_bytes = scene, frames, preset, most_bytes
+    def __init__(self, scene: StructuredScene, preset: Preset, scratch: Path | None, most_bytes: int) -> None:
+        self.scene, self.preset, self.most_bytes = scene, preset, most_bytes
         self._arrays = StoredArrays(scratch)
-        self._stored: dict[int, tuple[list[int], tuple[Segment, ...]]] = {}
+        self._stored: dict[str, tuple[list[int], tuple[Segment, ...]]] = {}
 
-    def at(self, index: int) -> _VotingFrame:
-        """Return the frame at ``index``. Raises PlgsError if it cannot be read, and OSError if the disk is full."""
-        if index in self._stored:
-            numbers, segments = self._stored[index]
+    def of(self, source: Frame) -> _VotingFrame:
+        """Return what ``source`` needs to vote, in any thread. Raises PlgsError if it cannot be read, OSError."""
+        if source.name in self._stored:
+            numbers, segments = self._stored[source.name]
             gaussian, weight, drawn, ids, depth = (self._arrays[number] for number in numbers)
-            camera = self.frames[index].camera.resized(drawn.shape[1], drawn.shape[0])
+            camera = source.camera.resized(drawn.shape[1], drawn.shape[0])
             return _VotingFrame(Contributors(gaussian, weight, drawn, camera), PanopticMask(ids, segments), depth)
-        source = self.frames[index]
         size = size_within(source.size, self.preset.vote_size)
         mask, depth = source.mask(size), source.depth(size)
         seen = contributors(self.scene, source.camera.resized(*size))
         frame = _VotingFrame(seen, mask, fill_holes(depth, mask.ids))
         if self._arrays.nbytes < self.most_bytes:
             arrays = (frame.seen.gaussian, frame.seen.weight, frame.seen.depth, frame.mask.ids, frame.depth)
-            self._stored[index] = [self._arrays.append(array) for array in arrays], frame.mask.segments
+            self._stored[source.name] = [self._arrays.append(array) for array in arrays], frame.mask.segments
         return frame
 
 

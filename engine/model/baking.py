@@ -14,7 +14,6 @@ from scipy.spatial import cKDTree
 from ..instances.panoptic_labels import LEAST_OF_CLASS, objects_of_classes
 from ..machine.distinct_rows import distinct_rows
 from ..result_files import Anchors
-from ..scene import Progress, watched
 from .anchors import AnchorsInView
 from .detail import widened
 from .gaussians import decode_rows, no_labels
@@ -114,15 +113,12 @@ def decided_labels(
 
 @torch.no_grad()
 def bake(
-    scene: StructuredScene,
-    viewpoint: NDArray[np.float64],
-    thing_ids: frozenset[int],
-    progress: Progress = lambda _done, _total: None,
+    scene: StructuredScene, viewpoint: NDArray[np.float64], thing_ids: frozenset[int]
 ) -> tuple[BakedGaussians, Anchors]:
     """Decode all anchors as seen from ``viewpoint`` [3], metres; return the Gaussians and the anchors. Colours and
     shapes depend slightly on the viewpoint, which splat files cannot express; the mean of the camera centres is a fair
     compromise. Gaussians keep the blur of the training pictures (see ``detail``), or viewers would show cracks in
-    distant walls. Raises what ``progress`` raises."""
+    distant walls."""
     centre = torch.from_numpy(viewpoint.copy()).float()
     parts: list[dict[str, NDArray]] = []
     anchor_parts: list[dict[str, NDArray]] = []
@@ -130,7 +126,7 @@ def bake(
     known = shown_labels(scene)
     without = None if known is None else no_labels(scene.anchors)
     step = CHUNK * USUAL_LABELS // max(USUAL_LABELS, classes + len(scene.channels.slot_ids))
-    for start in watched(range(0, len(scene.anchors), step), progress):
+    for start in range(0, len(scene.anchors), step):
         rows = torch.arange(start, min(start + step, len(scene.anchors)))
         decoded = decode_rows(AnchorsInView(scene.anchors, rows, centre, known_labels=without), scene.decoders)
         if known is None:

@@ -19,4 +19,4 @@ from .opening import open_asked, open_scene, open_scene_to_lift, require_liftabl
 from .overlapping import EvidenceReader
 from .pixels import distinct_ids
 from .report import ClassList, ClassReport, SceneReport, list_classes, report_of
-from .view import OnDemand, Progress, StoredArrays, StoredViews, View, chained, load_view, read_ahead, stored, watched
+from .view import OnDemand, Progress, StoredViews, View, chained, load_view, made_ahead, read_ahead, stored, watched

@@ -22,7 +22,7 @@ from .ground_truth import GroundTruthReader
 from .masks import KeptMask, OtherClasses
 from .opening import complete
 from .pixels import distinct_ids, largest_of_16_bits
-from .view import Progress
+from .view import Progress, read_ahead
 
 _COLOURS_DECODED = 16
 _DECODED = 0.85  # share of the time for all files; the rest is for the overlap
@@ -110,20 +110,26 @@ def _readable(scene: Scene, tick: Progress, keep_within: Size | None) -> tuple[l
     and for a wrong class table or an unreadable ground truth."""
     looks: dict[str, _Look] = {}
     errors: dict[str, PlgsError] = {}
-    total = len(scene.frames)
-    decoded = {*evenly_spread(range(total), _COLOURS_DECODED)}
-    for position, frame in enumerate(scene.frames):
+    decoded = {frame.name for frame in evenly_spread(scene.frames, _COLOURS_DECODED)}
+
+    def look(frame: Frame) -> _Look | PlgsError:
         truth = frame.read_ground_truth
         unknown = truth.unknown() if isinstance(truth, GroundTruthReader) else frozenset[int | str]()
         try:
-            looks[frame.name] = _look(frame, unknown, keep_within, decode=position in decoded)
+            return _look(frame, unknown, keep_within, decode=frame.name in decoded)
         except OtherClasses:  # the table is wrong, not this frame's file
             raise
         except PlgsError as error:
             if MEMORY_IS_GONE in error.what:  # the file may be good: no reason to leave the frame out
                 raise
-            errors[frame.name] = error
-        tick(position + 1, total)
+            return error
+
+    for done, (frame, found) in enumerate(zip(scene.frames, read_ahead(scene.frames, look), strict=True), start=1):
+        if isinstance(found, PlgsError):
+            errors[frame.name] = found
+        else:
+            looks[frame.name] = found
+        tick(done, len(scene.frames))
     if not errors:
         return list(looks.values()), replace(scene, frames=tuple(frame for *_, frame in looks.values())), ()
     first = next(iter(errors.values()))

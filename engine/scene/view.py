@@ -8,9 +8,10 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from math import prod
-from os import SEEK_END
+from os import SEEK_END, fstat
 from pathlib import Path
 from tempfile import TemporaryFile
+from threading import Lock
 from typing import Any, TypeVar, overload
 
 import numpy as np
@@ -61,8 +62,9 @@ def _add_upper(border: NDArray[np.bool_], dark: NDArray[np.bool_], brightest: ND
             border[:, stretch] |= inside
 
 
-Read = TypeVar("Read")
-READERS = 2  # threads that read ahead; more would fill the memory with waiting pictures
+Given = TypeVar("Given")
+Made = TypeVar("Made")
+MAKERS = 2  # threads that work ahead; more would fill the memory with waiting pictures
 NEAR, NEAR_SHARE = 0.05, 0.02
 """A view sees a point if its depth there differs by at most this many metres, or this fraction."""
 
@@ -126,23 +128,24 @@ def load_view(frame: Frame, size: Size | None = None) -> View:
     )
 
 
-def read_ahead(frames: Sequence[Frame], read: Callable[[Frame], Read]) -> Iterator[Read]:
-    """Yield ``read(frame)`` of each frame in order, reading a few frames ahead in threads, as decoding releases
-    Python's lock. Frames of one file, such as a video, are read one by one. Errors are raised at their frame's turn."""
-    if not all(frame.file_shows_colour for frame in frames):
-        yield from map(read, frames)
-        return
-    with ThreadPoolExecutor(READERS, "read") as pool:
-        waiting: deque[Future[Read]] = deque()
-        try:
-            for frame in frames:
-                waiting.append(pool.submit(read, frame))
-                if len(waiting) > 2 * READERS:
-                    yield waiting.popleft().result()
-            while waiting:
+def made_ahead(items: Sequence[Given], make: Callable[[Given], Made]) -> Iterator[Made]:
+    """Yield ``make(item)`` of each item in order, some made ahead in threads, as decoding, kernels and large arrays
+    release Python's lock. Errors are raised at their item's turn."""
+    pool, waiting = ThreadPoolExecutor(MAKERS, "ahead"), deque[Future[Made]]()
+    try:
+        for number in range(len(items) + MAKERS):
+            if number < len(items):
+                waiting.append(pool.submit(lambda number: make(items[number]), number))
+            if number >= MAKERS:
                 yield waiting.popleft().result()
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)  # whoever iterates may stop early
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)  # whoever iterates may stop early
+
+
+def read_ahead(frames: Sequence[Frame], read: Callable[[Frame], Made]) -> Iterator[Made]:
+    """Yield ``read(frame)`` of each frame in order, ahead as `made_ahead`, or one by one if one file has them all."""
+    one_by_one = not all(frame.file_shows_colour for frame in frames)
+    yield from map(read, frames) if one_by_one else made_ahead(frames, read)
 
 
 Item = TypeVar("Item", covariant=True)
@@ -182,34 +185,37 @@ def watched(items: Sequence[Item], progress: Progress) -> OnDemand[Item]:
 
 
 class StoredArrays:
-    """Arrays on disk, which one thread reads back by number. The file is in ``folder`` (None: the system's for
+    """Arrays on disk, read back by number, in any thread. The file is in ``folder`` (None: the system's for
     temporary files) and is deleted with this object or at the process's end. Raises OSError if the disk is full."""
 
     def __init__(self, folder: Path | None = None) -> None:
         self._file = TemporaryFile(dir=folder, buffering=0)  # noqa: SIM115 - open until this object is gone
         self._places: list[tuple[int, np.dtype[Any], tuple[int, ...]]] = []
+        self._lock = Lock()  # the file has one position
 
     def __len__(self) -> int:
         return len(self._places)
 
     @property
     def nbytes(self) -> int:
-        return self._file.seek(0, SEEK_END)
+        return fstat(self._file.fileno()).st_size
 
     def append(self, array: NDArray[Any]) -> int:
         """Store an array and return its number."""
         whole = np.ascontiguousarray(array)
-        self._places.append((self.nbytes, whole.dtype, whole.shape))
         rest = whole.reshape(-1).view(np.uint8).data  # numpy's tofile raises an OSError without its number
-        while len(rest):
-            rest = rest[self._file.write(rest) :]
-        return len(self) - 1
+        with self._lock:
+            self._places.append((self._file.seek(0, SEEK_END), whole.dtype, whole.shape))
+            while len(rest):
+                rest = rest[self._file.write(rest) :]
+            return len(self) - 1
 
     def __getitem__(self, number: int) -> NDArray[Any]:
         """Return the array, bit for bit as it was."""
         start, dtype, shape = self._places[number]
-        self._file.seek(start)
-        return np.fromfile(self._file, dtype, prod(shape)).reshape(shape)
+        with self._lock:
+            self._file.seek(start)
+            return np.fromfile(self._file, dtype, prod(shape)).reshape(shape)
 
 
 def stored(arrays: Iterable[NDArray[Any]], folder: Path | None = None) -> OnDemand[NDArray[Any]]:

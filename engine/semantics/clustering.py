@@ -7,15 +7,16 @@ and its time grows linearly with the points."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..scene import OnDemand, made_ahead
 from .cloud_index import CloudIndex
 
-PointBatches = Callable[[], Iterable[NDArray[np.float64]]]
-"""A function that yields the primary cloud, from its start at each call, in batches of world points, float64 [n, 3]."""
+PointBatches = Sequence[NDArray[np.float64]]
+"""The primary cloud in batches of world points, float64 [n, 3]; each may be computed when read, in any thread."""
 
 _PENDING_ROWS = 2_000_000
 """Rows of merged batches that are collected before they are merged with each other."""
@@ -38,7 +39,7 @@ def cell_keys(points: NDArray[np.floating], size: float) -> NDArray[np.int64]:
 def seed_centres(batches: PointBatches, spacing: float, cap: int) -> tuple[NDArray[np.float64], float]:
     """Return the mean point of each occupied cell, float64 [K, 3], ordered by cell, and the cell size used: ``spacing``
     (metres), enlarged until at most ``cap`` cells are occupied."""
-    cells = merged_points(batches(), spacing)
+    cells = merged_points(batches, spacing)
     while len(cells) > cap:
         # Surfaces fill space as the square of the spacing. The small extra makes one or two rounds enough.
         spacing *= max(1.01, math.sqrt(len(cells) / cap))
@@ -46,14 +47,14 @@ def seed_centres(batches: PointBatches, spacing: float, cap: int) -> tuple[NDArr
     return cells[:, :3], spacing
 
 
-def merged_points(batches: Iterable[NDArray[np.float64]], spacing: float) -> NDArray[np.float64]:
+def merged_points(batches: PointBatches, spacing: float) -> NDArray[np.float64]:
     """Merge all points [n, 3] of the batches that share a grid cell of side ``spacing`` (metres) to one row (mean x, y,
     z, count). Return the rows, [K, 4], ordered by cell."""
     cells = np.zeros((0, 4))
     pending: list[NDArray[np.float64]] = []
     rows = 0
-    for points in batches:
-        batch = merge_cells(np.column_stack([points, np.ones(len(points))]), spacing)
+    weighted = OnDemand(len(batches), lambda number: np.pad(batches[number], ((0, 0), (0, 1)), constant_values=1.0))
+    for batch in made_ahead(weighted, lambda rows: merge_cells(rows, spacing)):
         pending.append(batch)
         rows += len(batch)
         if rows > _PENDING_ROWS:
@@ -76,8 +77,7 @@ def lloyd_step(batches: PointBatches, centres: NDArray[np.float64], spacing: flo
     each centre, float64 [K, 3]. Centres without points are dropped, so K may shrink."""
     index = CloudIndex(centres)
     sums, counts = np.zeros((len(centres), 3)), np.zeros(len(centres))
-    for points in batches():
-        nearest = index.nearest(points, spacing)
+    for points, nearest in made_ahead(batches, lambda points: (points, index.nearest(points, spacing))):
         members = nearest >= 0
         nearest, points = nearest[members], points[members]
         counts += np.bincount(nearest, minlength=len(centres))

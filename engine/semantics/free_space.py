@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..scene import View
+from ..scene import View, made_ahead
 
 REACH, REACH_SHARE = 0.1, 0.04
 """A view shows a place if its depth there differs by at most this many metres, or this fraction of the place's."""
@@ -26,14 +26,17 @@ def in_free_space(xyz: NDArray[np.floating], views: Sequence[View]) -> NDArray[n
     the pixels around it: else thin things would be lost."""
     from scipy.spatial import cKDTree
 
-    shown, empty = np.zeros(len(xyz)), np.zeros(len(xyz))
-    for view in views:
+    def of_view(view: View) -> list[tuple[NDArray[np.int64], NDArray[np.float64]]]:
         row, y, x, depth = view.places_in(xyz)
         reach, measured = np.maximum(REACH, REACH_SHARE * depth), view.depth[y, x]
         is_shown = (measured > 0) & (np.abs(measured - depth) <= reach)
         is_empty = (measured > 0) & (_nearest_around(view.depth)[y, x] > depth + reach)
-        for evidence, which in ((shown, is_shown), (empty, is_empty)):
-            evidence[row[which]] += depth[which] ** -2
+        return [(row[which], depth[which] ** -2) for which in (is_shown, is_empty)]
+
+    shown, empty = np.zeros(len(xyz)), np.zeros(len(xyz))
+    for found in made_ahead(views, of_view):
+        for evidence, (row, amount) in zip((shown, empty), found, strict=True):
+            evidence[row] += amount
     if not shown.any():  # no view measured anything here
         return np.zeros(len(xyz), np.bool_)
     distance, _ = cKDTree(xyz[shown > 0]).query(xyz, distance_upper_bound=FILLED, workers=-1)

@@ -6,6 +6,7 @@ Pixels without a consistent label still give geometry; else walls behind rejecte
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..machine.distinct_rows import distinct_rows
 from ..presets.preset import EvidenceKind
-from ..scene import VOID, Progress, View, evidence, resolution_of
+from ..scene import VOID, OnDemand, Progress, View, evidence, resolution_of
 from .cloud_index import CloudIndex
 from .clustering import lloyd_step, seed_centres
 
@@ -77,24 +78,21 @@ def build_point_cloud(
     keep: Iterable[NDArray[np.bool_]],
     class_ids: Sequence[int],
     options: CloudOptions,
-    progress: Progress | None = None,
+    progress: Progress = lambda *_: None,
 ) -> SemanticPointCloud:
     """Cluster all pixels with depth. Labels of pixels in ``keep`` (bool [H, W] per view, in order) vote on the
     clusters' labels. Only one view at a time and the clusters are in memory. Raises ValueError without depth."""
-    report = progress or (lambda done, total: None)
-    total, done = (2 + LLOYD_STEPS) * len(views), 0
+    passes, done = 2 + LLOYD_STEPS, itertools.count(1)
+
+    def read(view: View) -> NDArray[np.float64]:
+        progress(next(done), passes * len(views))
+        return _points(view, stride)
+
     # The step in rows and columns between the pixels that are used.
     stride, pixels = 1, sum(view.camera.width * view.camera.height for view in views)
     while options.most_pixels is not None and pixels / stride**2 > options.most_pixels:
         stride += 1
-
-    def batches() -> Iterable[NDArray[np.float64]]:
-        nonlocal done
-        for view in views:
-            yield _points(view, stride)
-            done += 1
-            report(done, total)
-
+    batches = OnDemand(len(views), lambda number: read(views[number]))
     centres, spacing = seed_centres(batches, options.spacing, options.cap)
     for _ in range(LLOYD_STEPS):
         centres = lloyd_step(batches, centres, spacing)
@@ -104,8 +102,7 @@ def build_point_cloud(
     tally = _Tally(centres, spacing, np.asarray(class_ids), options.evidence)
     for view, consistent in zip(views, keep, strict=True):
         tally.add(view, consistent, stride)
-        done += 1
-        report(done, total)
+        progress(next(done), passes * len(views))
     class_id, confidence = majority_vote(tally.votes, class_ids, options.majority)
     return SemanticPointCloud(
         centres.astype(np.float32), tally.colour, class_id, confidence, tally.votes, tuple(class_ids), spacing

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch.nn import functional
 
-from ..machine.threads import one_torch_thread
+from ..machine.threads import two_torch_threads
 from ..model.anchors import UNKNOWN_CLASS
 from ..model.structured import StructuredScene
 from ..scene import Progress, watched
@@ -27,7 +27,7 @@ OPACITY_BIAS = 0.3
 FITTED = ("colour", "semantic", "instance")
 
 
-@one_torch_thread()
+@two_torch_threads()
 def warm_start(
     scene: StructuredScene,
     colour: np.ndarray,

@@ -199,7 +199,7 @@ def test_several_classes_of_one_detection_share_its_vote() -> None:
     votes = vote_classes(shown, np.ones(30, np.int32), 1, CLASS_IDS, "views")
     np.testing.assert_allclose(votes[1, columns], [0.75, 0.25])
     maps = [np.full(view.mask.ids.shape, column, np.int16) for view, column in zip(layers.views, columns, strict=True)]
-    asked = _votes(layers.views, maps, layers.point_of_pixel, size=(30, len(CLASS_IDS)), kind="views").asked.toarray()
+    asked = _votes(layers, maps, (30, len(CLASS_IDS)), "views", lambda *_: None).asked.toarray()
     np.testing.assert_allclose(asked[:, columns], [[0.75, 0.25]] * 30)
 
 

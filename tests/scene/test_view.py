@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from engine.errors import PlgsError
 from engine.scene import Camera, Frame, StoredViews, load_view, open_scene, resolution_of, size_within
-from engine.scene.view import READERS, SEAM, border_mask, read_ahead
+from engine.scene.view import MAKERS, SEAM, border_mask, read_ahead
 from tests.raises_key import raises_key
 from tests.tiny_scene import write_tiny_scene
 
@@ -151,9 +151,9 @@ def test_frames_are_read_only_a_few_ahead() -> None:
 
     reading = read_ahead(FRAMES, read)
     assert next(reading) == "0"
-    assert len(begun) <= 2 * READERS + 1
+    assert len(begun) <= MAKERS + 1
     reading.close()  # type: ignore[attr-defined]
-    assert len(begun) <= 2 * READERS + 1
+    assert len(begun) <= MAKERS + 1
 
 
 def test_a_bad_frame_is_reported_when_reading_reaches_it() -> None:

@@ -99,15 +99,12 @@ def test_pixels_without_depth_have_no_label() -> None:
 
 
 CLOUD = np.random.default_rng(1).uniform(0, 1, (4000, 3)) * [1.0, 1.0, 0.05]
-
-
-def batches() -> list[np.ndarray]:
-    return [CLOUD[:1500], CLOUD[1500:]]
+BATCHES = [CLOUD[:1500], CLOUD[1500:]]
 
 
 def test_seed_points_are_cell_means_however_the_cloud_is_split() -> None:
-    centres, spacing = seed_centres(batches, 0.25, 1000)
-    whole, _ = seed_centres(lambda: [CLOUD], 0.25, 1000)
+    centres, spacing = seed_centres(BATCHES, 0.25, 1000)
+    whole, _ = seed_centres([CLOUD], 0.25, 1000)
     assert spacing == 0.25 and len(centres) == 16
     np.testing.assert_allclose(centres, whole, atol=1e-12)
     first = CLOUD[(CLOUD < 0.25).all(1)].mean(0)
@@ -115,7 +112,7 @@ def test_seed_points_are_cell_means_however_the_cloud_is_split() -> None:
 
 
 def test_a_limit_on_points_enlarges_their_spacing() -> None:
-    centres, spacing = seed_centres(batches, 0.02, 100)
+    centres, spacing = seed_centres(BATCHES, 0.02, 100)
     assert len(centres) <= 100 and spacing > 0.02
 
 
@@ -123,6 +120,6 @@ def test_lloyd_steps_never_raise_the_error_of_seed_points() -> None:
     def error(centres: np.ndarray) -> float:
         return float(((CLOUD[:, None] - centres[None]) ** 2).sum(-1).min(1).mean())
 
-    centres, spacing = seed_centres(batches, 0.25, 1000)
-    moved = lloyd_step(batches, centres, spacing)
+    centres, spacing = seed_centres(BATCHES, 0.25, 1000)
+    moved = lloyd_step(BATCHES, centres, spacing)
     assert error(moved) < error(centres)
