@@ -147,17 +147,11 @@ def run_experiments(options: argparse.Namespace) -> int:
         print(*rows.listed(), sep="\n")
         return ExitCode.FINISHED
     experiment = Experiment(
-        scenes=scenes_from(options.scenes or [SAMPLE], options.names),
-        folder=options.output,
-        rows=rows,
-        only=tuple(options.only),
-        sets=tuple(options.set or ()),
-        masks=options.masks,
-        depth=options.depth,
-        seeds=tuple(options.seeds),
-        only_finished=options.finished,
+        scenes=scenes_from(options.scenes or [SAMPLE], options.names), folder=options.output, rows=rows,
+        only=tuple(options.only), sets=tuple(options.set or ()), masks=options.masks, depth=options.depth,
+        seeds=tuple(options.seeds), only_finished=options.finished,
         **{name: getattr(options, name) for name in SHARED},
-    )
+    )  # fmt: skip
     try:
         with Interrupts() as interrupts:
             return run_experiment(experiment, interrupts)

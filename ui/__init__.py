@@ -18,16 +18,8 @@ from . import (
 )
 
 _MODULES = (
-    preferences,
-    sidebar,
-    lift_panel,
-    passes_panel,
-    scene_panel,
-    result_panel,
-    corrections_panel,
-    menus,
-    overlay,
-)
+    preferences, sidebar, lift_panel, passes_panel, scene_panel, result_panel, corrections_panel, menus, overlay,
+)  # fmt: skip
 list_classes(_MODULES)
 register, unregister = partial(register_modules, _MODULES), partial(unregister_modules, _MODULES)
 """Called when the extension is enabled, and disabled."""

@@ -74,17 +74,8 @@ def _export_usd(lift: FinishedLift, output: Path) -> None:
 
 BY_OBJECT = ("splats", "boxes", "gltf", "usd")  # formats that accept --objects
 KINDS: Mapping[str, Callable[[FinishedLift, Path], None]] = {
-    "coco": export_coco,
-    "instances": export_label_images,
-    "scannet": export_scannet,
-    "points": export_points,
-    "splats": export_splats,
-    "boxes": export_boxes,
-    "mesh": export_mesh,
-    "surface": export_surface,
-    "gltf": export_gltf,
-    "usd": _export_usd,
-    "depth": export_depth,
-    "clouds": export_clouds,
-}
+    "coco": export_coco, "instances": export_label_images, "scannet": export_scannet, "points": export_points,
+    "splats": export_splats, "boxes": export_boxes, "mesh": export_mesh, "surface": export_surface,
+    "gltf": export_gltf, "usd": _export_usd, "depth": export_depth, "clouds": export_clouds,
+}  # fmt: skip
 """The function that writes each format."""

@@ -200,19 +200,10 @@ def listed_instances(
         )  # fmt: skip
         listed.append(
             result_files.Instance(
-                id=instance.id,
-                name=names[instance.id],
-                class_id=instance.class_id,
-                class_name=classes[instance.class_id].name,
-                colour=distinct_colour(instance.id),
-                centre=(x, y, z),
-                size=(length, width, height),
-                yaw=instance.box.yaw,
-                rotation=instance.box.rotation,
-                views=instance.views,
-                score=instance.score,
-                points=int(points[instance.id]),
-                segments=segments,
-            )
+                id=instance.id, name=names[instance.id], class_id=instance.class_id,
+                class_name=classes[instance.class_id].name, colour=distinct_colour(instance.id), centre=(x, y, z),
+                size=(length, width, height), yaw=instance.box.yaw, rotation=instance.box.rotation,
+                views=instance.views, score=instance.score, points=int(points[instance.id]), segments=segments,
+            )  # fmt: skip
         )
     return listed

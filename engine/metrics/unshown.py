@@ -114,18 +114,10 @@ def _missed(found: list[_Candidate], answers: _Answers, shown: set[int], classes
         x, y, z = (round(float(value), 3) for value in one.centre)
         unshown.append(
             Unshown(
-                class_id=one.class_id,
-                name=classes[one.class_id].name,
-                whole_class=whole,
-                views=named,
-                near=near,
-                frame=one.frame,
-                segment=one.segment,
-                pixels=one.pixels,
-                resolution=round(one.resolution, 2),
-                shown_as="" if one.shown_as == VOID else classes[one.shown_as].name,
-                centre=(x, y, z),
-            )
+                class_id=one.class_id, name=classes[one.class_id].name, whole_class=whole, views=named, near=near,
+                frame=one.frame, segment=one.segment, pixels=one.pixels, resolution=round(one.resolution, 2),
+                shown_as="" if one.shown_as == VOID else classes[one.shown_as].name, centre=(x, y, z),
+            )  # fmt: skip
         )
     return unshown
 

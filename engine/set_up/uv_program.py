@@ -41,17 +41,10 @@ _PUBLIC = "https://pypi.org/simple"
 _MOST_BYTES, _AT_ONCE, _PATIENCE_S = 60_000_000, 1 << 16, 15.0
 # What uv calls the settings of pip, which users have for mirrors and proxies.
 _OF_PIP = {
-    "index-url": "UV_DEFAULT_INDEX",
-    "extra-index-url": "UV_INDEX",
-    "find-links": "UV_FIND_LINKS",
-    "no-index": "UV_NO_INDEX",
-    "trusted-host": "UV_INSECURE_HOST",
-    "cert": "SSL_CERT_FILE",
-    "proxy": "ALL_PROXY",
-    "timeout": "UV_HTTP_TIMEOUT",
-    "default-timeout": "UV_HTTP_TIMEOUT",
-    "retries": "UV_HTTP_RETRIES",
-}
+    "index-url": "UV_DEFAULT_INDEX", "extra-index-url": "UV_INDEX", "find-links": "UV_FIND_LINKS",
+    "no-index": "UV_NO_INDEX", "trusted-host": "UV_INSECURE_HOST", "cert": "SSL_CERT_FILE", "proxy": "ALL_PROXY",
+    "timeout": "UV_HTTP_TIMEOUT", "default-timeout": "UV_HTTP_TIMEOUT", "retries": "UV_HTTP_RETRIES",
+}  # fmt: skip
 _LEFT_OUT = re.compile(
     r"PYTHON(PATH|HOME|DONTWRITEBYTECODE)$|VIRTUAL_ENV$|CONDA_PREFIX$|"
     r"UV_(PYTHON|SYSTEM_PYTHON|TARGET|PREFIX|CONSTRAINT|OVERRIDE|EXCLUDE|PROJECT|WORKING_DIR)$"

@@ -101,19 +101,10 @@ def layout_of(shape: DecoderShape) -> Layout:
     widths = (inputs, HIDDEN, HIDDEN, padded_features, max(head.padded for head in heads))
     begins = [BATCH * sum(widths[:part]) for part in range(len(widths) + 1)]
     sizes = Sizes(
-        features=shape.features,
-        padded_features=padded_features,
-        distance=int(shape.distance_input),
-        k=shape.gaussians_per_anchor,
-        classes=shape.classes,
-        slots=shape.instance_slots,
-        inputs=inputs,
-        hidden_at=begins[1],
-        d_hidden_at=begins[2],
-        d_inputs_at=begins[3],
-        out_at=begins[4],
-        scratch=begins[5],
-    )
+        features=shape.features, padded_features=padded_features, distance=int(shape.distance_input),
+        k=shape.gaussians_per_anchor, classes=shape.classes, slots=shape.instance_slots, inputs=inputs,
+        hidden_at=begins[1], d_hidden_at=begins[2], d_inputs_at=begins[3], out_at=begins[4], scratch=begins[5],
+    )  # fmt: skip
     return Layout(Heads(*heads), sizes, parameters, at)
 
 

@@ -30,24 +30,10 @@ from .photos import CONVERT, LET_COLMAP, finished_models, is_film, photos_in
 from .tum import FORMAT as TUM
 
 FORMATS: tuple[SceneFormat, ...] = (
-    scannet.FOLDERS,
-    nerfstudio.FORMAT,
-    colmap.FORMAT,
-    TUM,
-    seven_scenes.FORMAT,
-    replica.FORMAT,
-    scannet.SENS,
-    phone_apps.POLYCAM,
-    record3d.FORMAT,
-    phone_apps.STRAY,
-    phone_apps.SCANNER_APP,
-    scannetpp.FORMAT,
-    hypersim.FORMAT,
-    arkitscenes.FORMAT,
-    metashape.FORMAT,
-    reality.FORMAT,
-    bundler.FORMAT,
-)
+    scannet.FOLDERS, nerfstudio.FORMAT, colmap.FORMAT, TUM, seven_scenes.FORMAT, replica.FORMAT, scannet.SENS,
+    phone_apps.POLYCAM, record3d.FORMAT, phone_apps.STRAY, phone_apps.SCANNER_APP, scannetpp.FORMAT, hypersim.FORMAT,
+    arkitscenes.FORMAT, metashape.FORMAT, reality.FORMAT, bundler.FORMAT,
+)  # fmt: skip
 
 _EXPORT_SCAN = (
     "Export the scan itself: Record3D's .r3d or EXR + JPG sequence, Polycam's Raw Data, 3D Scanner App's All Data, or "

@@ -13,19 +13,10 @@ from . import class_arrays, coco, coco_results, detections, label_pairs, sam2, s
 from .source import FoundMask, FoundSegment, MaskFormat, MaskSource, StoredMask
 
 MASK_FORMATS: tuple[MaskFormat, ...] = (
-    coco_results.FORMAT,
-    coco.FORMAT,
-    label_pairs.PANOPTIC_LIFTING,
-    sam2.GROUNDED,
-    sam2.PICTURES,
-    label_pairs.PAIRS_FORMAT,
-    segment_maps.TRANSFORMERS,
-    segment_maps.DETECTRON2,
-    sam2.FORMAT,
-    label_pairs.PALETTE,
-    detections.FORMAT,
-    class_arrays.FORMAT,
-)
+    coco_results.FORMAT, coco.FORMAT, label_pairs.PANOPTIC_LIFTING, sam2.GROUNDED, sam2.PICTURES,
+    label_pairs.PAIRS_FORMAT, segment_maps.TRANSFORMERS, segment_maps.DETECTRON2, sam2.FORMAT, label_pairs.PALETTE,
+    detections.FORMAT, class_arrays.FORMAT,
+)  # fmt: skip
 _PICKLES = {".pkl", ".pickle", ".pt", ".pth", ".ptz", ".joblib"}
 
 
