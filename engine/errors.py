@@ -94,7 +94,7 @@ class PlgsError(Exception):
         if MEMORY_IS_GONE in self.what:  # whatever it was read for: the file may be sound
             fix, option = "Close other programs, or use a computer with more memory.", ""
         self.key, self.where, self.fix, self.code, self.option = key, str(where), fix, code, option
-        super().__init__(one_line(f"{sentence(self.problem)} {fix}" if fix else self.problem))
+        super().__init__(one_line(f"{ended(self.problem)} {fix}" if fix else self.problem))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Tell pickle how to rebuild the error, for example in another process."""
@@ -117,7 +117,7 @@ def problem_of(what: str, where: str) -> str:
     return f"{where} {what}" if _LACKS_SUBJECT.match(what) else f"{what}: {where}"
 
 
-def sentence(text: str) -> str:
+def ended(text: str) -> str:
     """Return ``text`` with a full stop, unless it has its own end, as a question has."""
     return text if text.endswith((".", "?", "!", "…")) else f"{text}."
 

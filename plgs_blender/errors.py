@@ -7,7 +7,7 @@ from typing import Any
 
 import bpy
 
-from ..engine.errors import ErrorCode, PlgsError, one_line, problem_of
+from ..engine.errors import ErrorCode, PlgsError, ended, one_line, problem_of
 from ..engine.posed.layout import plural
 
 __all__ = [
@@ -52,7 +52,7 @@ def with_field_names(said: PlgsError | OSError | str) -> str:
     problem = problem_of(what, where)
     if not where or not problem.startswith(where):  # a name keeps its first letter
         problem = sentence(problem)
-    return one_line(f"{problem}. {fix}" if fix else problem)
+    return one_line(f"{ended(problem)} {fix}" if fix else problem)
 
 
 def _for_panel(text: str) -> str:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Literal, NoReturn, get_args
 
 from .. import __version__
-from ..errors import PlgsError, did_you_mean, one_line, sentence
+from ..errors import PlgsError, did_you_mean, ended, one_line
 from ..json_file import Json, read_object, to_text
 from ..presets import options as presets
 from ..presets.preset import PRESETS, Preset
@@ -159,7 +159,7 @@ class Parser(argparse.ArgumentParser):
     """A parser whose errors are one line, without the usage. Its subparsers are of this class, too."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, one_line(f"error: {sentence(message)} '{self.prog} --help' lists all options.") + "\n")
+        self.exit(2, one_line(f"error: {ended(message)} '{self.prog} --help' lists all options.") + "\n")
 
 
 def add_options(parser: argparse.ArgumentParser, *names: str) -> None:

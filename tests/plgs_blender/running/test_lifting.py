@@ -54,6 +54,7 @@ def test_the_panel_advises_to_wait_for_or_cancel_a_running_lift(tmp_path: Path) 
         (PlgsError("made-up", "is none", "/a/ --up b", "Give --classes."), "/a/ --up b is none. Give Classes."),
         (PlgsError("made-up", "there is none", "/a/--up", "Give --up."), "There is none: /a/--up. Give Up."),
         (PlgsError("made-up", "nothing is left", "", ""), "Nothing is left"),
+        (PlgsError("made-up", "is it far?", "", "Look."), "Is it far? Look."),
         (PlgsError("made-up", "is full", "the disk", "Make room."), "The disk is full. Make room."),
         (PlgsError("made-up", "rgbd/3.jpg is missing", "a.r3d", ""), "rgbd/3.jpg is missing: a.r3d"),
         (PlgsError("made-up", "'chair' may be two", "", ""), "'chair' may be two"),
