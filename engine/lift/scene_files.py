@@ -66,27 +66,31 @@ def write_scene_files(
         partial(listed_instances, views, prepared, owner[seen], scene.classes, names),
         partial(bake, lifted, viewpoint, scene.classes.thing_ids),
     )
-    likely, instances, (gaussians, anchors) = _all_of(*makers)
+    likely, instances, (gaussians, anchors) = _all_of(part_of(progress, 0.4, 0.6, 100), *makers)
     points = result_files.SemanticPoints(
         cloud.xyz[seen], cloud.rgb[seen], cloud.class_id[seen], owner[seen], likely(cloud.confidence[seen])
     )
     near = is_within(max(FILLED, 2 * lifted.voxel_size), anchors.xyz, points.xyz)
     anchors = result_files.Anchors(**{name: values[near] for name, values in vars(anchors).items()})
     _all_of(
+        part_of(progress, 0.6, 1.0, 100),
         partial(result_files.write_arrays, result / SEMANTIC_POINTS, points),
         partial(result_files.write_instances, result / INSTANCES, scene.classes, instances),
         partial(result_files.write_arrays, result / ANCHORS, anchors),
         lambda: write_splats(result / "gaussians.ply", gaussians.without_floaters(points.xyz)),
         partial(write_model, folder, lifted),
     )
-    progress(1, 1)
     for name in (SEMANTIC_POINTS, INSTANCES, ANCHORS, "gaussians.ply", MODEL):
         events.artifact(result / name, name.partition(".")[0])
 
 
-def _all_of(*makers: Callable[[], Any]) -> list[Any]:
-    """Call functions, two at a time, and return what they return."""
-    return list(made_ahead(makers, lambda make: make()))
+def _all_of(progress: Progress, *makers: Callable[[], Any]) -> list[Any]:
+    """Call functions, two at a time, and return what they return. Calls ``progress`` after each."""
+    made: list[Any] = []
+    for each in made_ahead(makers, lambda make: make()):
+        made.append(each)
+        progress(len(made), len(makers))
+    return made
 
 
 def is_near_measured(
