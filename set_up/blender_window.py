@@ -14,7 +14,7 @@ import subprocess
 import time
 from pathlib import Path
 
-from environment import LIBRARIES, ROOT, STAMP, alone, exit_with, install_packages, run, say, stop
+from environment import LIBRARIES, ROOT, STAMP, alone, exit_with, install_packages, run, say, stop, write_stamp
 
 SUITES = ("trixie", "sid")
 PACKAGES = (
@@ -83,9 +83,7 @@ def make(suite: str) -> None:
         in_tree(tree, install, "Blender could not be installed")
     in_tree(tree, ["apt-get", "clean"], "the downloaded packages could not be removed")
     in_tree(tree, ["blender", "--version"], "Blender does not start")
-    temporary = tree / f"{STAMP}.tmp"
-    temporary.write_text(stamp_text(suite))
-    temporary.replace(tree / STAMP)
+    write_stamp(tree, stamp_text(suite))
     say(f"{tree.name} is ready after {time.monotonic() - started:.0f} s")
 
 

@@ -191,14 +191,14 @@ def make(folder: Path) -> None:
     if folder.name == ".venv":
         say("compiling the engine's kernels for this machine (half a minute; otherwise a lift would do it)")
         run([python, "-m", "engine", "warm-up"], "the kernels could not be compiled", cwd=ROOT, strict=False)
-    write_stamp(folder, version)
+    write_stamp(folder, stamp_text(folder.name, version, ROOT / "requirements"))
     say(f"{folder.name} is ready after {time.monotonic() - started:.0f} s")
 
 
-def write_stamp(folder: Path, version: tuple[int, int]) -> None:
+def write_stamp(folder: Path, text: str) -> None:
     """Mark the environment as complete. The stamp is renamed into place, so it is whole or absent."""
     temporary = folder / f"{STAMP}.tmp"
-    temporary.write_text(stamp_text(folder.name, version, ROOT / "requirements"))
+    temporary.write_text(text)
     os.sync()  # after a power cut, the stamp must not outlive the files that uv wrote
     temporary.replace(folder / STAMP)
 

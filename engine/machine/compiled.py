@@ -19,16 +19,15 @@ from typing import Any
 from uuid import uuid4
 
 import numba
+from numba.core.caching import InTreeCacheLocator
 from numba.core.registry import cpu_target
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from ..user_cache import user_cache_folder
 
-# The folder where compiled kernels are kept, which only this user can write to.
-#
-# Numba's index of the folder is a pickle, and reading a pickle can run code. Anyone who could write there could run
-# code as this user.
+# Only this user can write to the folder of compiled kernels. Numba's index there is a pickle, and reading a pickle can
+# run code. Anyone who could write there could run code as this user.
 
 
 def choose_cache_folder(name: str) -> Path:
@@ -108,20 +107,28 @@ def machine_target() -> tuple[str, str, str]:
     return target
 
 
+class KernelFiles(InTreeCacheLocator):
+    """Where Numba keeps a kernel's files. Its own rule depends on where the package lies. By this one, a clone and an
+    installed extension with the same kernels compile them once."""
+
+    def get_cache_path(self) -> str:
+        return str(CACHE_FOLDER / Path(self._py_file).parent.name)
+
+
 _KERNEL: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}  # divisions are unchecked
 _PART: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": False}
 
 
 def _compiler(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     def decorate(function: Callable[..., Any]) -> Any:
-        # read when a function is decorated; other users of Numba in this process keep their own folder
+        # read when a function is decorated; other users of Numba in this process keep their own folders
         settings: Any = numba.config
-        theirs = settings.CACHE_DIR
-        settings.CACHE_DIR = str(CACHE_FOLDER)
+        theirs = settings.CACHE_LOCATOR_CLASSES
+        settings.CACHE_LOCATOR_CLASSES = f"{__name__}.{KernelFiles.__name__}"
         try:
             kernel: Any = numba.njit(cache=True, **_KERNEL, **options)(function)
         finally:
-            settings.CACHE_DIR = theirs
+            settings.CACHE_LOCATOR_CLASSES = theirs
         if not settings.DISABLE_JIT:
             # Numba counts the files of a kernel. Two processes that compile it at once, for other types of arguments,
             # may give them one number, and one would then run the other's code.

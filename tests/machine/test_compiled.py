@@ -1,5 +1,6 @@
 """Digests of the code, and the names of compiled kernels, change with all that goes into them."""
 
+import runpy
 from pathlib import Path
 
 import pytest
@@ -52,6 +53,20 @@ def test_two_processes_compile_one_kernel_without_mix_up(tmp_path: Path, monkeyp
     monkeypatch.setattr(ours, "_save_data", save_late)
     ours.save("floats", b"for floats")
     assert later.load("integers") == b"for integers" and later.load("floats") in (None, b"for floats")
+
+
+def test_a_clone_and_an_installed_extension_share_compiled_kernels(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(compiled, "CACHE_FOLDER", tmp_path / "cache")
+    found = []
+    for place in ("clone", "extension"):
+        source = tmp_path / place / "raster" / "kernel.py"
+        source.parent.mkdir(parents=True)
+        source.write_text("def twice(value):\n    return value + value\n")
+        kernel = compiled.compiled(runpy.run_path(str(source), run_name="engine.raster.kernel")["twice"])
+        found.append((kernel(21), kernel.stats.cache_hits.total()))
+    assert found == [(42, 0), (42, 1)]
 
 
 def test_the_code_digest_changes_only_with_sources_or_pins(tmp_path: Path) -> None:

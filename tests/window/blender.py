@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from tree import ROOT, Tree
 
 from engine.job import LiftFolder, last_run
+from engine.machine.compiled import CACHE_FOLDER
 from tests.waiting import PATIENCE_S, wait_until
 
 SIZE = (1280, 1000)
@@ -34,9 +36,10 @@ class Window:
         self._log = (folder / "blender.log").open("ab")
         self._number, self.space = 0, "VIEW_3D"
         self._buttons: dict[str, tuple[int, int]] = {}
-        self._is_compiled = False
-        for name in ("home", "screen", "kernels"):
+        for name in ("home", "screen"):
             (folder / name).mkdir(exist_ok=True)
+        begun = shutil.ignore_patterns("*.tmp.*")  # by another process, while the kernels are copied for lifts here
+        shutil.copytree(CACHE_FOLDER, folder / "kernels" / CACHE_FOLDER.name, ignore=begun)
         tree.environment |= {
             "HOME": str(folder / "home"),
             "BLENDER_USER_RESOURCES": str(folder / "resources"),
@@ -48,15 +51,6 @@ class Window:
         self._start_screen()
         install = ["blender", "--command", "extension", "install-file", "-r", "user_default", "-e", str(package)]
         tree.run(*install)
-
-    def compile_kernels(self) -> None:
-        """Let the installed engine compile its kernels, so that lifts begin at once."""
-        if self._is_compiled:
-            return
-        engine = self.folder / "resources" / "extensions" / "user_default" / "plgs"
-        python = self._tree.environment["PLGS_ENGINE_PYTHON"]
-        self._tree.run("sh", "-c", f"cd {engine} && exec {python} -m engine warm-up", timeout=600)
-        self._is_compiled = True
 
     def _start_screen(self) -> None:
         reading, writing = os.pipe()
@@ -283,10 +277,9 @@ class Window:
 
     def _copied_at(self, x: int, y: int, keys: str) -> str:
         """What these keys copy there; empty over nothing."""
-        self.run("bpy.context.window_manager.clipboard = ''")
         self._input("mousemove", str(x), str(y), "sleep", str(_MOVED_S), "key", keys)
-        self._wait_for_events()
-        copied: str = self.ask("bpy.context.window_manager.clipboard")
+        self.ask("None")  # the question is the second round
+        copied: str = self.run("wm = bpy.context.window_manager\nanswer, wm.clipboard = wm.clipboard, ''")
         return copied
 
     def _region(self, kind: str) -> tuple[int, int, int, int]:

@@ -11,13 +11,12 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-LIFTS = {"test_main_path", "test_going_on", "test_pictures"}
-AS_STARTED = {"test_result", "test_pictures"}
-"""These look at Material Preview, which the extension turns to in a file as Blender starts it."""
+AS_STARTED = {"test_pictures", "test_a_placed_lift_fits_the_view_beside_the_panels"}
+AS_STARTED |= {"test_without_a_graphics_card_a_lift_opens_in_solid_shading"}
+"""These look at Material Preview, which the extension turns to in a file as Blender starts it: files and tests."""
 
 if str(Path(__file__).parent) not in sys.path:
     sys.path.insert(0, str(Path(__file__).parent))
@@ -27,21 +26,6 @@ if "PLGS_WINDOW_TREE" in os.environ:
     from tree import ROOT, Tree, paths_of_this_python
 else:
     collect_ignore_glob = ["test_*.py"]
-
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """Under xdist each Blender has files of its own, and one has all lifts: that one compiles the engine's kernels. Not
-    by xdist's groups, which do nothing with pytest 9.2.
-    """
-    from xdist.scheduler import LoadScopeScheduling
-
-    class Files(LoadScopeScheduling):
-        def _split_scope(self, nodeid: str) -> str:
-            file = Path(nodeid.partition("::")[0]).stem
-            return "lifts" if file in LIFTS else file
-
-    return Files(config, log)
 
 
 @pytest.fixture(scope="session")
@@ -78,7 +62,7 @@ def blender(work_folder: Path) -> Iterator[Window]:
 @pytest.fixture
 def window(blender: Window, request: pytest.FixtureRequest) -> Iterator[Window]:
     """Blender with a new file. A test that fails leaves a screenshot, and a Blender started again for the next one."""
-    blender.new_file(is_solid=request.path.stem not in AS_STARTED)
+    blender.new_file(is_solid=AS_STARTED.isdisjoint((request.path.stem, request.node.name)))
     failed_before = request.session.testsfailed
     yield blender
     if request.session.testsfailed > failed_before:

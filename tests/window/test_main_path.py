@@ -8,7 +8,7 @@ import pytest
 from blender import SIZE, Window
 from tiny_scene import write_tiny_scene
 
-STEPS = 200
+STEPS = 400
 LIFTS = "__import__('sys').modules[EXTENSION + '.plgs_blender.running.lifts']"
 RUNNING = f"{LIFTS}.registry.running({LIFTS}.Lift)"
 LIFT = "__import__('pathlib').Path(bpy.context.scene.plgs.lift_folder)"
@@ -62,11 +62,10 @@ def test_a_lift_is_started_cancelled_and_resumed_and_its_box_picked(window: Wind
     window.open_sidebar()
     choose_scene(window, scene)
     window.run(f"bpy.context.scene.plgs.steps = {STEPS}; bpy.context.scene.plgs.preset_options = 'warm_start=false'")
-    window.compile_kernels()
     _, start = window.press("plgs.lift_scene")
     window.wait_for(f"{RUNNING} and {RUNNING}[0].progress.steps == {STEPS} and {RUNNING}[0].progress.step > 20")
-    window.screenshot("lifting")
     with window.suspended(Path(window.ask("bpy.context.scene.plgs.lift_folder"))):
+        window.screenshot("lifting")
         _, cancel = window.press("plgs.cancel_lift", near=start + 50)
     window.wait_for(f"not {RUNNING}")
     window.settle()

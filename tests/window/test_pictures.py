@@ -165,7 +165,6 @@ def test_a_running_lift_is_shown_in_the_window(window: Window, scene: Path) -> N
     window.open_sidebar()
     window.run(f"bpy.ops.plgs.import_scene(scene_folder={str(scene)!r})", timeout=PATIENCE_S)
     window.run(_LOOK_THROUGH)
-    window.compile_kernels()
     window.run("bpy.ops.plgs.lift_scene('INVOKE_DEFAULT')")
     step, seen = f"{_RUNNING}[0].progress.step", f"{_LIFTS}.picture_for(bpy.context.scene) is not None"
     window.wait_for(f"{_RUNNING} and {step} > 250 and {seen}", timeout=300)

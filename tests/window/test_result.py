@@ -45,6 +45,7 @@ def lift(work_folder: Path) -> Path:
 
 def test_a_placed_lift_fits_the_view_beside_the_panels(window: Window, lift: Path) -> None:
     window.open_sidebar()
+    window.run("bpy.context.scene.eevee.taa_samples = 1")  # of 16, each of which takes seconds
     window.run(f"bpy.ops.plgs.place_lift(lift_folder={str(lift)!r})")
     window.settle()
     window.screenshot("result")
