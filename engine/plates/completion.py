@@ -65,6 +65,9 @@ def complete(texture: Texture, leaving: Leaving, staying: NDArray[np.floating]) 
         return None
     label = completed_labels(texture.label, hole, good)
     level, blocked = np.log(texture.colour + DARK), blocked_light(texture, leaving.xyz, staying)
+    limits = np.percentile(level[good], (EXTREME, 100 - EXTREME), axis=0)
+    bands = level_bands(level, good) if not texture.plane.is_floor else np.float32(0)
+    level = level - bands
     light = fit_light(texture, level, label, good, blocked)
     ratio, most = level - light.expected - light.kept, (blocked.before - blocked.after).max(axis=-1)
     sharp = np.clip(most / SHARP, 0, 1)[..., None]
@@ -74,12 +77,21 @@ def complete(texture: Texture, leaving: Leaving, staying: NDArray[np.floating]) 
     evened = np.clip(most / SHADED - 1, 0, 1)[..., None]
     change = evened * (rest - here) - light.kept
     brighter = good & (np.abs(change).max(axis=-1) > LEAST_CHANGE)
-    colour = np.where(brighter[..., None], np.exp(level + change) - DARK, texture.colour)
-    limits = np.percentile(level[good], (EXTREME, 100 - EXTREME), axis=0)
-    guess = np.exp((light.expected + rest).clip(*limits)) - DARK
+    colour = np.where(brighter[..., None], np.exp(level + bands + change) - DARK, texture.colour)
+    guess = np.exp((light.expected + rest + bands).clip(*limits)) - DARK
     colour = np.where(hole[..., None], guess, colour).clip(0, 1).astype(np.float32)
     fill = hole | brighter | (good & texture.poorly) | (good & (_metres(hole, t) < RIM) if hole.any() else False)
     return Completed(colour, label, fill, hole) if fill.any() else None
+
+
+def level_bands(level: Colours, good: Mask) -> Colours:
+    """Return how a wall's log brightness changes with height, float32 [h, 1, 3]: the sum of the median changes from
+    row to row. It continues skirting boards and changes of paint, whose edges are level."""
+    pairs = good[1:] & good[:-1]
+    steps = np.zeros((len(good), 3), np.float32)
+    for row in np.flatnonzero(pairs.sum(axis=1) >= LEAST_KNOWN // 2):
+        steps[row + 1] = np.median((level[row + 1] - level[row])[pairs[row]], axis=0)
+    return np.cumsum(steps, axis=0)[:, None]
 
 
 def _metres(mask: Mask, texel: float) -> NDArray[np.float64]:

@@ -237,6 +237,21 @@ def test_what_is_guessed_is_never_brighter_than_what_photos_saw() -> None:
     assert 0.2 < done.colour[done.hole].min() and done.colour[done.hole].max() <= colour[:, :30].max()
 
 
+def test_a_change_of_paint_on_a_wall_goes_on_behind_a_removed_picture() -> None:
+    colour = np.full((60, 80, 3), 0.6, np.float32)
+    colour[:30] = 0.3  # the lower half, as rows go up
+    hidden = np.zeros((60, 80), bool)
+    hidden[15:45, 20:60] = True
+    upright = Plane(np.zeros(3), np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]))
+    label, nowhere = np.where(hidden, 0, -FLOOR_ID).astype(np.int32), np.zeros_like(hidden)
+    wall = Texture(
+        upright, np.zeros(2), 0.02, np.where(hidden[..., None], 0, colour).astype(np.float32), ~hidden, hidden, label,
+        np.ones_like(hidden), nowhere, poorly=nowhere,
+    )  # fmt: skip
+    done = complete(wall, Leaving.of(np.full((9, 3), 5.0)), np.zeros((0, 3)))
+    assert done is not None and np.abs(done.colour - colour)[hidden].max() < 0.03
+
+
 def test_a_photo_of_a_small_part_of_a_large_object_helps_to_remove_it(lifted: Path) -> None:
     frame = open_scene(lifted / "scans/room").train_frames[0]
     near = replace(frame, camera=replace(frame.camera, fx=40 * frame.camera.fx, fy=40 * frame.camera.fy))
