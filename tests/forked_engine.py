@@ -4,6 +4,7 @@ kernels once: to start one takes three seconds of a processor otherwise, more th
 forked_engine.py SOCKET is that process. It is not for tests of how an engine starts, or of what kills it.
 """
 
+import gc
 import json
 import os
 import signal
@@ -72,6 +73,7 @@ def serve(listening: socket.socket) -> None:
             import_for_transformers()
         if SURFACES in arguments:
             import_open3d()
+        gc.freeze()  # a fork does not copy what its collector would touch
         child = os.fork()
         if child == 0:
             for number, descriptor in enumerate(descriptors):
