@@ -226,7 +226,7 @@ def _some(numbers: Sequence[int]) -> list[int]:
 
 
 def _new_name(state: Replay, class_id: int, more: int = 0) -> str:
-    """Return a name such as "chair 7", which no object had before. Its number is ``more`` above the class's next."""
+    """Return a name such as "chair 7", which no object had before. ``more`` numbers are skipped."""
     kind = state.classes[class_id].name
     names = [name.removeprefix(f"{kind} ") for name in state.owners]
     return f"{kind} {max((int(name) for name in names if name.isdecimal()), default=0) + 1 + more}"

@@ -67,8 +67,9 @@ def take_over_edits(folder: LiftFolder, earlier: EarlierLift) -> None:
 def report_edits(
     folder: LiftFolder, earlier: EarlierLift | None, filled: Mapping[str, str], events: EventWriter
 ) -> None:
-    """Warn of the corrections that do not apply to a new result, and of removals whose fill is of an earlier result:
-    all but those in ``filled``, which has, by uid, why one could not be made, or "". Raises PlgsError for bad files."""
+    """Warn of the corrections that do not apply to a new result, and of removals whose fill is of an earlier result.
+    ``filled`` has, by uid, why no new fill could be made, "" if it was; edits made since then are not in it. Raises
+    PlgsError for bad files."""
     if not read_edits(folder.path):
         return
     corrected = read_corrected(folder.path)

@@ -141,8 +141,8 @@ def leaving_gaussians(
     others: Others,
 ) -> NDArray[np.bool_]:  # fmt: skip
     """Return which Gaussians, at ``centres`` [G, 3], go with the removed objects (``leaving``), bool [G]. These are
-    Gaussians whose labels belong to the objects by enough of their ``share`` [G], and nearby Gaussians of stuff (by
-    their likeliest ``label`` [G]) that lie on no surface of ``others``, the things that stay."""
+    Gaussians whose labels belong to the objects by a ``share`` [G] above OWNED, or above TOUCHED near the objects, and
+    nearby Gaussians of stuff (by their likeliest ``label`` [G]) that lie on no surface of ``others``."""
     gone = share > OWNED
     low, high = leaving.low, leaving.high
     rows = np.flatnonzero(((centres > low - 0.15) & (centres < high + 0.15)).all(axis=1))

@@ -60,8 +60,8 @@ def _stopped(start: NDArray[np.float64], ways: NDArray[np.float64], solid: NDArr
     if not near.any():
         return hits
     low = solid[near].min(axis=0)
-    blocks = np.zeros(((solid[near].max(axis=0) - low) / BLOCK).astype(int) + 3, np.bool_)  # with a rim, for what is
-    blocks[tuple(((solid[near] - low) / BLOCK).astype(int).T + 1)] = True  # outside
+    blocks = np.zeros(((solid[near].max(axis=0) - low) / BLOCK).astype(int) + 3, np.bool_)  # its rim stays False
+    blocks[tuple(((solid[near] - low) / BLOCK).astype(int).T + 1)] = True
     for far in np.arange(BLOCK, FARTHEST, STEP):
         cell = (np.floor((start[:, axis, None] + far * ways[:, axis] - low[axis]) / BLOCK) + 1 for axis in range(3))
         hits |= blocks[tuple(np.clip(at, 0, blocks.shape[axis] - 1).astype(int) for axis, at in enumerate(cell))]

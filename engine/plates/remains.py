@@ -12,11 +12,11 @@ from ..lift.baking import FrameBaker
 from .views import PlateView
 
 HELD = 0.1
-"""Metres within which a point of what carries an object is: two or three times the distance between points."""
+"""Metres from an object's lowest points within which what carries it has a point: two or three times their spacing."""
 LOWEST = 0.05
-"""Metres above an object's lowest point within which it may stand on something."""
+"""Metres above an object's lowest end within which its points count as its lowest ones."""
 LOOKED_AT, TOLD = 3, 0.02
-"""The photos that show most of the removed objects are looked at; a smaller share of the hole is not told."""
+"""How many photos are looked at, those with most of the objects; and the empty share of the hole that is not told."""
 
 
 def remains_of(
@@ -53,7 +53,7 @@ def hanging_objects(before: CorrectedResult, after: CorrectedResult, ids: Collec
 
 
 def empty_share(baker: FrameBaker, views: Sequence[PlateView]) -> float:
-    """Return which share of the removed objects' pixels shows nothing at all without them, from 0 to 1."""
+    """Return the share, 0 to 1, of removed objects' pixels in ``views`` that are now empty (alpha below 0.5)."""
     looked_at = sorted(views, key=lambda view: -int(view.leaves.sum()))[:LOOKED_AT]
     of_hole = [baker.decided(view.camera, wanted=("combined",)).combined[view.leaves, 3] < 0.5 for view in looked_at]
     return float(np.concatenate(of_hole).mean()) if any(map(len, of_hole)) else 0.0

@@ -205,7 +205,7 @@ def _look(
     if most > 0 and most not in flat and not plane.is_floor:
         return None  # a table's top carries things, its side does not
     lies = most < 0 or most in flat  # else it is a table's top: what photos call floor there is noise
-    also = flat if plane.is_floor else ()  # a picture is no wall: behind a television there is none
+    also = flat if plane.is_floor else ()  # rugs go on; a wall's pictures do not go on behind a television
     votes = {one: each for one, each in votes.items() if one == most or one in also or (one < 0 and lies)}
     names = np.array(sorted(votes), np.int32)
     counted = np.stack([votes[one] for one in names.tolist()])

@@ -1,1 +1,1 @@
-"""Label consistency between views: consistency-enhanced masks, the semantic point cloud, and pseudo labels."""
+"""Label consistency between views: consistency-enhanced masks, the point cloud, pseudo labels; and free space."""
