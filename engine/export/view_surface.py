@@ -86,8 +86,8 @@ def _is_double(room: tuple[Surface, Ints], objects: tuple[Surface, Ints]) -> NDA
 
 
 def _joined(surface: Surface, label: Ints, coarse: int) -> tuple[Surface, Ints]:
-    """Return the surface and its labels [V] with each object in one piece: its rim among the first ``coarse`` vertices
-    is moved to its rim among the others, if that is _BESIDE. Vertices of other labels at the same places move along."""
+    """Join each object's rim among the first ``coarse`` vertices to its rim among the others where that is _BESIDE.
+    Vertices of other labels at the same places move along. Return the surface and its labels [V]."""
     rim = np.unique(open_edges(surface.triangles))
     rim = rim[label[rim] % MOST_INSTANCES > 0]
     coarse_rim, fine_rim = rim[rim < coarse], rim[rim >= coarse]

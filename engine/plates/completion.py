@@ -85,8 +85,8 @@ def complete(texture: Texture, leaving: Leaving, staying: NDArray[np.floating]) 
 
 
 def level_bands(level: Colours, good: Mask) -> Colours:
-    """Return how a wall's log brightness changes with height, float32 [h, 1, 3]: the sum of the median changes from
-    row to row. It continues skirting boards and changes of paint, whose edges are level."""
+    """Return how the log brightness changes over a plane's rows, which on a wall are level, float32 [h, 1, 3]: the sum
+    of the median changes from row to row. It continues skirting boards and changes of paint."""
     pairs = good[1:] & good[:-1]
     steps = np.zeros((len(good), 3), np.float32)
     for row in np.flatnonzero(pairs.sum(axis=1) >= LEAST_KNOWN // 2):

@@ -1,8 +1,8 @@
 """Fits the decoders to the initial anchors before any picture is rendered.
 
-The semantic point cloud already tells the colour, class and instance of each anchor. Fitting decoders to these takes a
-second, as nothing is rendered; learning them from pictures takes thousands of steps. This is ours, not the paper's: the
-preset "paper" starts from random decoders."""
+The semantic point cloud already tells the colour, class and instance of each anchor. Fitting decoders to these takes
+seconds, as nothing is rendered; learning them from pictures takes thousands of steps. This is ours, not the paper's:
+the preset "paper" starts from random decoders."""
 
 from __future__ import annotations
 
