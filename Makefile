@@ -18,7 +18,7 @@ PYTHON := .venv/bin/python
 PYTEST := -m pytest --durations=10
 # One process of tests for each core, and memory for four at most.
 PARALLEL := -n logical --maxprocesses=4 --dist=worksteal
-# Two Blenders, each on a screen of its own.
+# Two Blenders, each on a screen of its own and with test files of its own.
 WINDOWS := -n 2 --dist=loadfile
 # A test that takes longer than pyproject.toml's faulthandler_timeout hangs: on two cores none of `make test` takes two minutes.
 ENDING := -o faulthandler_exit_on_timeout=true

@@ -22,7 +22,7 @@ from engine.job.terminal import Interrupts
 from tests.job.following import tiny_lift
 from tests.waiting import PATIENCE_S
 
-STEPS, STEP_S, PAUSE_AFTER = 60, 0.03, 10
+STEPS, STEP_S, PAUSE_AFTER = 30, 0.03, 10
 
 
 def lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None:
