@@ -44,8 +44,8 @@ def with_own_fills(
     if not edits:
         return None, {}
     lifts = [made.path, *([] if earlier is None else [earlier.folder])]
-    for edit in (edit for edit in edits if edit.kind == "remove"):
-        there = [path_of(folder, edit.fill) for lift in lifts for folder in (lift / "result", lift)]
+    for edit in removals(edits):
+        there = [path_of(folder, edit.fill) for lift in lifts for folder in (lift / LiftFolder.result_name, lift)]
         if (fill := next((path for path in there if path.is_file()), None)) is not None:
             write_atomically(path_of(made.result_path, edit.fill), fill.read_bytes())
     not_made: Mapping[str, str] = {}
@@ -62,6 +62,16 @@ def take_over_edits(folder: LiftFolder, earlier: EarlierLift) -> None:
     if earlier.edits:
         with editing(folder.path) as edits:
             edits[:] = kept_edits(edits, earlier)
+
+
+def drop_fills_of_undone(folder: LiftFolder) -> None:
+    """Delete the fills of undone removals, which fit an earlier result: a redo then says that they are missing. Raises
+    OSError; PlgsError for bad files."""
+    edits = read_edits(folder.path)
+    used = {edit.fill for edit in removals(edits)}
+    for edit in edits:
+        if edit.kind == "remove" and edit.fill not in used:
+            path_of(folder.path, edit.fill).unlink(missing_ok=True)
 
 
 def report_edits(

@@ -48,7 +48,16 @@ from .baking import FrameBaker, bake_and_evaluate, corrected_baker, names_of_fil
 from .device import be_repeatable, usable_device
 from .frame_sets import FRAMES, FrameSets, check_disk, frames_to_bake, predicted_lift, sets_of_frames
 from .judging import evenly, read_held_back
-from .kept_corrections import FILL, MakeFills, kept_edits, removals, report_edits, take_over_edits, with_own_fills
+from .kept_corrections import (
+    FILL,
+    MakeFills,
+    drop_fills_of_undone,
+    kept_edits,
+    removals,
+    report_edits,
+    take_over_edits,
+    with_own_fills,
+)
 from .live_previews import LivePreviews
 from .objects import MATCHERS
 from .preparation import PreparedLift, ViewsToLift, prepare
@@ -60,7 +69,7 @@ log = logging.getLogger("plgs.lift")
 STAGES = {
     "check": "Checking the scene",
     "read": "Reading the frames",
-    "consistency": "Checking label consistency",
+    "consistency": "Building the point cloud",
     "match": "Matching instances in 3D",
     "prepare": "Placing the first Gaussians",
     "train": "Training Gaussians",
@@ -203,6 +212,7 @@ def run_lift(
     if folder.is_lifted_again:
         verify_of(made.result_path, folder.path)  # else the earlier result would stay, as if it was this one
     warn_of_earlier(folder.adopt_next_result(), events.warning)
+    drop_fills_of_undone(folder)
     report_edits(folder, earlier, filled, events)
     remember_pace(paces, trainer)
 

@@ -66,7 +66,7 @@ def complete(texture: Texture, leaving: Leaving, staying: NDArray[np.floating]) 
     label = completed_labels(texture.label, hole, good)
     level, blocked = np.log(texture.colour + DARK), blocked_light(texture, leaving.xyz, staying)
     limits = np.percentile(level[good], (EXTREME, 100 - EXTREME), axis=0)
-    bands = level_bands(level, good) if not texture.plane.is_floor else np.float32(0)
+    bands = level_bands(level, good) if texture.plane.is_wall else np.float32(0)
     level = level - bands
     light = fit_light(texture, level, label, good, blocked)
     ratio, most = level - light.expected - light.kept, (blocked.before - blocked.after).max(axis=-1)

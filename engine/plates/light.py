@@ -48,7 +48,8 @@ def blocked_light(texture: Texture, leaving: NDArray[np.floating], staying: NDAr
     ways = _hemisphere() @ texture.plane.axes
     weights = np.stack([ways @ normal, (ways @ normal) * np.maximum(ways[:, 2], 0) ** 2], axis=1)
     stopped = [_stopped(start, ways, solid) for solid in (leaving, staying)]
-    shares = (hits @ (weights / weights.sum(axis=0)) for hits in (stopped[0] | stopped[1], stopped[1]))
+    weights /= np.maximum(weights.sum(axis=0), 1e-9)  # no light from above reaches a ceiling
+    shares = (hits @ weights for hits in (stopped[0] | stopped[1], stopped[1]))
     shapes = (share.reshape(rows, columns, 2).astype(np.float32) for share in shares)
     return Blocked(*(np.asarray(cv2.resize(each, (w, h), interpolation=cv2.INTER_LINEAR)) for each in shapes))
 

@@ -17,7 +17,7 @@ LEAST_SHARE, LEAST_POINTS = 0.04, 60
 _SEED_REACH = 0.25
 """Metres within which the three points of a try lie."""
 UPRIGHT = 0.95
-"""Least upward part of the normal of a floor or a table's top."""
+"""Least upward part of the normal of a floor or a table's top, and of a direction in a wall."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +38,10 @@ class Plane:
     @property
     def is_floor(self) -> bool:
         return bool(self.axes[2, 2] > UPRIGHT)
+
+    @property
+    def is_wall(self) -> bool:
+        return bool(self.axes[1, 2] > UPRIGHT)
 
 
 def find_planes(xyz: NDArray[np.floating], towards: NDArray[np.floating]) -> list[Plane]:

@@ -47,8 +47,12 @@ Tell = Callable[[str], object]
 """Takes a line for a person about what a removal leaves undone."""
 
 
+def untold(line: str) -> None:
+    """Tell nobody."""
+
+
 def remove(
-    folder: LiftFolder, objects: Sequence[str], progress: Progress = unwatched, tell: Tell = str
+    folder: LiftFolder, objects: Sequence[str], progress: Progress = unwatched, tell: Tell = untold
 ) -> tuple[Edit, CorrectedResult]:
     """Take objects, given by ids or names, out of a finished lift, by an edit like any other. Returns the edit and the
     new result. Raises PlgsError if there is no such object, if the scene is gone, and if the lift is corrected
@@ -65,7 +69,7 @@ def remove(
 
 
 def without(
-    folder: LiftFolder, objects: Sequence[str], progress: Progress = unwatched, tell: Tell = str
+    folder: LiftFolder, objects: Sequence[str], progress: Progress = unwatched, tell: Tell = untold
 ) -> CorrectedResult:
     """Return the corrected result without objects, as `remove` makes it, but save no edit. Raises like `remove`."""
     return _removal(folder, objects, progress, tell)[2]

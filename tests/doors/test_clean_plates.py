@@ -252,6 +252,20 @@ def test_a_change_of_paint_on_a_wall_goes_on_behind_a_removed_picture() -> None:
     assert done is not None and np.abs(done.colour - colour)[hidden].max() < 0.03
 
 
+def test_a_ceiling_goes_on_where_a_lamp_was_removed() -> None:
+    hidden = np.zeros((60, 80), bool)
+    hidden[20:40, 30:50] = True
+    down = Plane(np.array([0.0, 0.0, 2.5]), np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]))
+    label, nowhere = np.where(hidden, 0, -FLOOR_ID).astype(np.int32), np.zeros_like(hidden)
+    colour = np.where(hidden[..., None], 0, np.full((60, 80, 3), 0.6)).astype(np.float32)
+    ceiling = Texture(
+        down, np.zeros(2), 0.02, colour, ~hidden, hidden, label, np.ones_like(hidden), nowhere, poorly=nowhere
+    )
+    lamp = np.random.default_rng(0).uniform([0.6, -0.8, 2.1], [1.0, -0.4, 2.5], (900, 3))
+    done = complete(ceiling, Leaving.of(lamp), np.zeros((0, 3)))
+    assert done is not None and np.abs(done.colour - 0.6)[hidden].max() < 0.05
+
+
 def test_a_photo_of_a_small_part_of_a_large_object_helps_to_remove_it(lifted: Path) -> None:
     frame = open_scene(lifted / "scans/room").train_frames[0]
     near = replace(frame, camera=replace(frame.camera, fx=40 * frame.camera.fx, fy=40 * frame.camera.fy))
@@ -557,7 +571,8 @@ def test_a_fill_that_cannot_be_made_anew_is_told(draft: LiftFolder, monkeypatch:
     chair, cabinet = read_edits(draft.path)
     elsewhere = replace(cabinet.objects[0], low=(90.0, 90.0, 90.0), high=(91.0, 91.0, 91.0))
     with editing(draft.path) as edits:
-        edits[1] = replace(cabinet, objects=(elsewhere,))
+        edits[1:] = replace(cabinet, objects=(elsewhere,)), replace(chair, uid="put back", fill="f0", undone=True)
+    write_fill(path_of(draft.path, "f0"), NOTHING)
     before = fill_in_use(draft, chair)
 
     def gone(*_: object, **__: object) -> Fill:
@@ -567,6 +582,7 @@ def test_a_fill_that_cannot_be_made_anew_is_told(draft: LiftFolder, monkeypatch:
     digest = write_fill(path_of(draft.path, "f1"), NOTHING)
     monkeypatch.setattr(plates.removal, "fill_of", gone)
     assert refine(draft) == 0 and fill_in_use(draft, chair) == before
+    assert not path_of(draft.path, "f0").exists(), "it fits the earlier result"
     told = warnings_in(draft.events_path)[-4:]
     assert "was not applied: object" in told[0] and "remove it by its present name" in told[1]
     assert "in place of chair 1" in told[2] and "the scene is not there: put it back" in told[2]
