@@ -43,7 +43,7 @@ def test_events_of_inspect_and_frames_end_with_their_answer(tmp_path: Path) -> N
     assert kinds == ["hello", "stage", "stage", "answer", "done"]
     frames = followed(files, "frames", room, "-o", tmp_path / "out", "--make", "depth")
     assert frames.state is TaskState.FINISHED and frames.answer is not None and frames.answer["frames"] == 9
-    assert (frames.progress.step, frames.progress.steps) == (9, 9)
+    assert (frames.progress.step, frames.progress.steps) == (100, 100)
     for follower in (inspected, frames):
         follower.close()
     assert files.folder is not None and not files.folder.exists()
@@ -107,7 +107,7 @@ def test_a_command_without_an_events_file_prints_its_answer(tmp_path: Path, capf
     call = ["frames", str(room), "-o", str(tmp_path / "out"), "--make", "depth"]
     assert main(call) == 0
     said = capfd.readouterr()
-    assert said.out == f"3 frames in {tmp_path / 'out'}\n" and "Making frames  3/3" in said.err
+    assert said.out == f"3 frames in {tmp_path / 'out'}\n" and "Making frames  100/100" in said.err
     assert main([*call, "--json"]) == 0
     assert json.loads(capfd.readouterr().out) == {"folder": str(tmp_path / "out"), "frames": 3}
 
