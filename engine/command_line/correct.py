@@ -149,7 +149,8 @@ def _described(edit: Edit, corrected: CorrectedResult) -> str:
     if edit.kind == "rename" and not edit.undone:
         number = edit.objects[0].id
         objects, matte = str(number), corrected.names_in_mattes.get(number, edit.name)
-        made = "" if matte == edit.name else f"; in Cryptomatte {matte}"  # no commas, and no name twice
+        is_last = (number, edit.name) in ((one.id, one.name) for one in corrected.instances)
+        made = f"; in Cryptomatte {matte}" if is_last and matte != edit.name else ""  # no commas, and no name twice
     if edit.kind == "reclass" and any(edit.names) and not edit.undone:
         objects = ", ".join(str(mark.id) for mark in edit.objects)
         made = f"; now {', '.join(filter(None, edit.names))}"

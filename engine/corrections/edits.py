@@ -129,8 +129,9 @@ def edit_of(entry: dict[str, Any], path: Path) -> Edit:
     edit = record_of(Edit, entry, path, MEND, str(entry["kind"]), raw=None)
     if edit.kind == "rename" and not edit.name:
         raise PlgsError("edit-name-empty", "'rename.name' is empty", path, MEND)
-    if edit.kind == "remove" and not (edit.fill.isalnum() and edit.digest):
-        raise PlgsError("edit-no-fill", "'remove.fill' or 'remove.digest' is missing", path, MEND)
+    is_name = edit.fill.isascii() and edit.fill.isalnum() and len(edit.fill) <= 64
+    if edit.kind == "remove" and not (is_name and edit.digest):
+        raise PlgsError("edit-no-fill", "'remove.fill' or 'remove.digest' is missing or wrong", path, MEND)
     return edit
 
 
@@ -177,7 +178,7 @@ def editing(lift: Path) -> Iterator[list[Edit]]:
                 entries = ",\n".join(lines)
                 write_atomically(lift / CORRECTIONS, f'{{"format": {FORMAT}, "edits": [\n{entries}\n]}}\n')
     except PlgsError as error:
-        if error.code is not ErrorCode.BUSY:
+        if error.key != "at-work":
             raise
         fix = "Try again in a moment."
         what = "another program is editing this lift"

@@ -4,10 +4,12 @@ was computed for the earlier result, so each lift makes it anew, and keeps the e
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 
 from ..corrections import CorrectedResult, Edit, MadeResult, editing, read_corrected, read_edits
-from ..corrections.fills import path_of
-from ..job import EventWriter, LiftFolder, write_atomically
+from ..corrections.fills import path_of, read_fill, write_fill
+from ..errors import PlgsError
+from ..job import EventWriter, LiftFolder
 from ..job.progress import Progress, StageReporter
 from ..posed.layout import plural
 from .baking import FrameBaker
@@ -43,11 +45,12 @@ def with_own_fills(
     could not be made, or "". Raises OSError; PlgsError for bad files; Cancelled."""
     if not edits:
         return None, {}
-    lifts = [made.path, *([] if earlier is None else [earlier.folder])]
-    for edit in removals(edits):
-        there = [path_of(folder, edit.fill) for lift in lifts for folder in (lift / LiftFolder.result_name, lift)]
-        if (fill := next((path for path in there if path.is_file()), None)) is not None:
-            write_atomically(path_of(made.result_path, edit.fill), fill.read_bytes())
+    lifts = dict.fromkeys([*([] if earlier is None else [earlier.folder]), made.path])  # the latter counts
+    for edit, lift in ((edit, lift) for edit in removals(edits) for lift in lifts):
+        own = path_of(lift / LiftFolder.result_name, edit.fill)
+        with suppress(PlgsError):  # a missing or damaged one is not taken
+            fill = read_fill(own) if own.is_file() else read_fill(path_of(lift, edit.fill), edit.digest)
+            write_fill(path_of(made.result_path, edit.fill), fill)
     not_made: Mapping[str, str] = {}
     if removals(edits):
         with stages.stage(FILL) as progress:

@@ -55,13 +55,14 @@ def remove(
     folder: LiftFolder, objects: Sequence[str], progress: Progress = unwatched, tell: Tell = untold
 ) -> tuple[Edit, CorrectedResult]:
     """Take objects, given by ids or names, out of a finished lift, by an edit like any other. Returns the edit and the
-    new result. Raises PlgsError if there is no such object, if the scene is gone, and if the lift is corrected
-    meanwhile; OSError, and what ``progress`` raises. Nothing is then changed."""
-    edit, known, _ = _removal(folder, objects, progress, tell)
+    new result. Raises PlgsError if there is no such object, if the scene is gone, and if the lift is corrected or made
+    anew meanwhile; OSError, and what ``progress`` raises. Nothing is then changed."""
+    known = read_edits(folder.path), _model_of(folder)
+    edit, _ = _removal(folder, objects, progress, tell)
 
     def make(state: Replay, _: int) -> Edit:
-        if read_edits(folder.path) != known:
-            what = "the lift was corrected in the meantime"
+        if (read_edits(folder.path), _model_of(folder)) != known:
+            what = "the lift was corrected, or made anew, in the meantime"
             raise PlgsError("corrected-meanwhile", what, folder.path / CORRECTIONS, "Try again.", code=ErrorCode.BUSY)
         return edit
 
@@ -72,14 +73,18 @@ def without(
     folder: LiftFolder, objects: Sequence[str], progress: Progress = unwatched, tell: Tell = untold
 ) -> CorrectedResult:
     """Return the corrected result without objects, as `remove` makes it, but save no edit. Raises like `remove`."""
-    return _removal(folder, objects, progress, tell)[2]
+    return _removal(folder, objects, progress, tell)[1]
+
+
+def _model_of(folder: LiftFolder) -> str:
+    """Return the SHA-256 of the result's model. Raises PlgsError if the lift is not finished."""
+    return next((file.sha256 for file in read_manifest(folder.result_path).files if str(file.path) == MODEL), "")
 
 
 def _removal(
     folder: LiftFolder, objects: Sequence[str], progress: Progress, tell: Tell
-) -> tuple[Edit, tuple[Edit, ...], CorrectedResult]:
-    """Return the edit that removes the objects, the edits before it, and the result after it. Write the edit's fill to
-    a file if need be."""
+) -> tuple[Edit, CorrectedResult]:
+    """Return the edit that removes the objects, and the result after it. Write the edit's fill to a file if need be."""
     folder.refuse_read_only()
     result, edits = MadeResult.read(folder.path), read_edits(folder.path)
     state = result.replay(edits)
@@ -90,8 +95,7 @@ def _removal(
         if not {mark.id for mark in edit.objects}.isdisjoint(ids):
             what = f"these objects were removed before, but {corrected.not_applied[edit.uid]}"
             raise PlgsError("removal-lost", what, folder.path / CORRECTIONS, "Put them back, then remove them again.")
-    files = {str(file.path): file.sha256 for file in read_manifest(folder.result_path).files}
-    decides = ids, corrected.fingerprint, files.get(MODEL), code_digest("engine")
+    decides = ids, corrected.fingerprint, _model_of(folder), code_digest("engine")
     name = sha256(repr(decides).encode()).hexdigest()[:16]
     path, views, baker_of = path_of(folder.path, name), list[PlateView](), partial(read_baker, folder, result.classes)
     try:
@@ -105,7 +109,7 @@ def _removal(
     after = result.corrected([*edits, replace(edit, uid=edit.fill)])  # the same plate has the same uid
     for line in remains_of(corrected, after, ids, baker_of(after) if views else None, views):
         tell(line)
-    return edit, edits, after
+    return edit, after
 
 
 def _drop_unused(lift: Path) -> None:

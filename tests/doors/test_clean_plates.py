@@ -587,3 +587,29 @@ def test_a_fill_that_cannot_be_made_anew_is_told(draft: LiftFolder, monkeypatch:
     assert "was not applied: object" in told[0] and "remove it by its present name" in told[1]
     assert "in place of chair 1" in told[2] and "the scene is not there: put it back" in told[2]
     assert "in place of cabinet 1" in told[3] and "it was removed while the lift ran: put it back" in told[3]
+
+
+def test_a_damaged_fill_is_not_taken_over_where_none_can_be_made(
+    draft: LiftFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def gone(*_: object, **__: object) -> Fill:
+        raise PlgsError("scene-gone", "the scene is not there", draft.path, "")
+
+    chair, _ = read_edits(draft.path)
+    write_fill(path_of(draft.path, chair.fill), NOTHING)
+    monkeypatch.setattr(plates.removal, "fill_of", gone)
+    assert refine(draft) == 0
+    assert "place changed" in read_corrected(draft.path).not_applied[chair.uid], "which its digest shows"
+
+
+def test_a_removal_of_an_earlier_result_does_not_reach_a_later_one(draft: LiftFolder) -> None:
+    path_of(draft.path, undo(draft.path)[0].fill).unlink()  # else it would be used
+    before, refined = read_edits(draft.path), list[int]()
+
+    def meanwhile(_done: int, _of: int) -> None:
+        if not refined:
+            refined.append(refine(draft))
+
+    with raises_key("corrected-meanwhile"):
+        plates.remove(draft, ["cabinet 1"], meanwhile)
+    assert refined == [0] and read_edits(draft.path) == before
