@@ -16,6 +16,9 @@ LEAST_SHARE, LEAST_POINTS = 0.04, 60
 """A plane has at least this share of the points, and this many."""
 _SEED_REACH = 0.25
 """Metres within which the three points of a try lie."""
+PARALLEL, NEAR, SLOPE = 0.99, 4 * ON_PLANE, 0.7
+"""A plane is the noise of a larger one if it is this parallel (cosine), within these metres of it, and at least this
+share of the points around it lies on the larger one's side."""
 UPRIGHT = 0.95
 """Least upward part of the normal of a floor or a table's top, and of a direction in a wall."""
 
@@ -56,9 +59,21 @@ def find_planes(xyz: NDArray[np.floating], towards: NDArray[np.floating]) -> lis
         normal, offset = found
         if np.median(towards[left[on]] @ normal) < 0:
             normal, offset = -normal, -offset
-        planes.append(Plane(xyz[left[on]].mean(axis=0).astype(np.float64), _axes(normal)))
+        plane = Plane(xyz[left[on]].mean(axis=0).astype(np.float64), _axes(normal))
+        if not any(_is_noise_of(one, plane, xyz) for one in planes):
+            planes.append(plane)
         left = left[np.abs(xyz[left] @ normal - offset) > 1.5 * ON_PLANE]
     return planes
+
+
+def _is_noise_of(larger: Plane, plane: Plane, xyz: NDArray[np.floating]) -> bool:
+    """Whether a plane is but noise of a larger one beside it: most of the points [N, 3] around it are on that side."""
+    away = float(larger.local(plane.origin[None])[0, 2])
+    if plane.axes[2] @ larger.axes[2] < PARALLEL or abs(away) > NEAR:
+        return False
+    height = plane.local(xyz)[:, 2] * np.sign(away)
+    on = np.abs(height) < ON_PLANE
+    return bool((height[on] < 0).mean() > SLOPE)
 
 
 def _largest(xyz: NDArray[np.floating], random: np.random.Generator) -> tuple[NDArray[np.float64], float] | None:

@@ -28,7 +28,7 @@ from engine.lift_arrays import Gaussians
 from engine.passes.exr import PanopticLayers, read_exr, read_note
 from engine.plates.completion import complete, completed_labels
 from engine.plates.leaving import Leaving, other_points
-from engine.plates.planes import Plane
+from engine.plates.planes import Plane, find_planes
 from engine.plates.texture import Texture
 from engine.plates.views import frames_around
 from engine.scene import open_scene
@@ -250,6 +250,17 @@ def test_a_change_of_paint_on_a_wall_goes_on_behind_a_removed_picture() -> None:
     )  # fmt: skip
     done = complete(wall, Leaving.of(np.full((9, 3), 5.0)), np.zeros((0, 3)))
     assert done is not None and np.abs(done.colour - colour)[hidden].max() < 0.03
+
+
+def test_a_noisy_floor_is_one_plane_and_a_step_is_another() -> None:
+    random = np.random.default_rng(0)
+    floor = random.uniform([0, 0, 0], [4, 4, 0], (60000, 3)) + random.normal(0, 0.016, (60000, 1)) * [0, 0, 1]
+    step = random.uniform([2, 2, 0.05], [3, 3, 0.05], (6000, 3)) + random.normal(0, 0.003, (6000, 1)) * [0, 0, 1]
+    up = np.array([0.0, 0.0, 1.0])
+    [plane] = find_planes(floor, np.broadcast_to(up, floor.shape))
+    assert abs(plane.origin[2]) < 0.01
+    both = np.concatenate([floor[:20000] * [1, 1, 0.1], step])
+    assert len(find_planes(both, np.broadcast_to(up, both.shape))) == 2
 
 
 def test_a_ceiling_goes_on_where_a_lamp_was_removed() -> None:
