@@ -129,8 +129,7 @@ def edit_of(entry: dict[str, Any], path: Path) -> Edit:
     edit = record_of(Edit, entry, path, MEND, str(entry["kind"]), raw=None)
     if edit.kind == "rename" and not edit.name:
         raise PlgsError("edit-name-empty", "'rename.name' is empty", path, MEND)
-    is_name = edit.fill.isascii() and edit.fill.isalnum() and len(edit.fill) <= 64
-    if edit.kind == "remove" and not (is_name and edit.digest):
+    if edit.kind == "remove" and not (edit.fill.isalnum() and len(edit.fill.encode()) <= 64 and edit.digest):
         raise PlgsError("edit-no-fill", "'remove.fill' or 'remove.digest' is missing or wrong", path, MEND)
     return edit
 
@@ -180,6 +179,5 @@ def editing(lift: Path) -> Iterator[list[Edit]]:
     except PlgsError as error:
         if error.key != "at-work":
             raise
-        fix = "Try again in a moment."
-        what = "another program is editing this lift"
+        what, fix = "another program is editing this lift", "Try again in a moment."
         raise PlgsError("corrections-busy", what, lift / CORRECTIONS, fix, code=ErrorCode.BUSY) from error

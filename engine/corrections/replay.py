@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..errors import PlgsError
 from ..posed import ClassTable, distinct_colour
 from ..result_files import Instance, SemanticPoints
-from .edits import KINDS, MOVES, PER_METRE, Edit, MovedPoints, ObjectMark
+from .edits import CORRECTIONS, KINDS, MOVES, PER_METRE, Edit, MovedPoints, ObjectMark
 from .fills import NOTHING, Fill, cell_keys
 from .relabelling import GONE, Labels, Relabelling, Step, labels_of, nearest, step_of
 
@@ -173,6 +173,8 @@ class Replay:
     def _remove(self, edit: Edit, ids: Sequence[int]) -> str:
         try:
             fill = self.fill_of(edit)
+            if {*fill.label.tolist()} - {0, *self.objects, *(-one.id for one in self.classes.categories)}:
+                raise PlgsError("fill-of-others", "what is in its place has an unknown label", CORRECTIONS, "")
         except PlgsError as error:
             names = ", ".join(self.objects[each].name for each in ids)
             return f"{error.what} ({error.where}): put {names} back and remove {'them' if ids[1:] else 'it'} again"

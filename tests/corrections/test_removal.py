@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from engine.corrections import correct, put_back, read_corrected, undo
+from engine.corrections import correct, put_back, read_corrected, set_undone, undo
 from engine.corrections import making as m
 from engine.corrections.fills import CELL, NOTHING, Fill, cells_of, path_of, read_fill, write_fill
 from tests.corrections.two_rooms import DESK, FLOOR, SOFA, write_result
@@ -119,6 +119,18 @@ def test_a_removal_without_its_fill_file_is_reported_and_the_object_stays(lift: 
         path.write_bytes(path.read_bytes()[:100])
     now = read_corrected(lift)
     assert DESK in now.points.instance_id and "was not applied" in now.warnings[0]
+
+
+def test_a_removal_whose_fill_is_of_an_object_that_is_not_there_is_reported(lift: Path) -> None:
+    def make(state, first_id):  # type: ignore[no-untyped-def]
+        return m.assign(state, state.label == -FLOOR, 0, class_id=SOFA, new_id=first_id)
+
+    made, _ = correct(lift, make)
+    removal(lift, DESK, fill=patch(np.ones((4, 3)), label=made.made[0].id))
+    assert [one.id for one in read_corrected(lift).removed] == [DESK]
+    set_undone(lift, {made.uid: True})  # as another program may
+    now = read_corrected(lift)
+    assert DESK in now.points.instance_id and "unknown label" in now.warnings[0]
 
 
 def test_a_fill_file_with_impossible_numbers_is_refused(tmp_path: Path) -> None:
