@@ -285,17 +285,17 @@ def _prepare(options: argparse.Namespace, python: Path, interrupts: Interrupts) 
 def resumable(options: argparse.Namespace) -> LiftFolder | None:
     """Return the lift in ``options.output`` that --resume continues; None if there is nothing to continue. Raises
     PlgsError if the options ask for another lift than the one there."""
-    folder: Path = options.output
-    if not options.resume or not (folder / "request.json").exists():
+    if not options.resume or not (options.output / "request.json").exists():
         return None
-    lift = LiftFolder.open(folder)
+    lift = LiftFolder.open(options.output)
     return lift.asked_again(request_from(options, base=lift.request))
 
 
 def ask_engine(python: Path, interrupts: Interrupts, kind: str, *arguments: str | Path) -> Mapping[str, Json]:
     """Run the engine's command ``kind``, progress on stderr; return its answer. Raises its PlgsError, Interrupted."""
+    given = (each.absolute() if isinstance(each, Path) else each for each in arguments)  # it runs in another folder
     with interrupts.deferred():
-        follower = TaskFollower.start([*engine_call(python), kind, *arguments], TaskFiles.temporary(), kind=kind)
+        follower = TaskFollower.start([*engine_call(python), kind, *given], TaskFiles.temporary(), kind=kind)
         follow(follower, interrupts, LiveLine(sys.stderr))
     if follower.error is not None or follower.answer is None:
         raise follower.error or PlgsError("silent", "the engine gave no answer", kind, "Run the same command again.")

@@ -6,13 +6,16 @@ import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from engine.job.report import metrics_text, not_shown
 from engine.job.task import TaskProgress
-from engine.job.terminal import Interrupted, Interrupts, LiveLine, describe
+from engine.job.terminal import Interrupted, Interrupts, LiveLine, ask_engine, describe
+from tests.raises_key import raises_key
+from tests.tiny_scene import write_tiny_scene
 
 TRAINING = TaskProgress("train", "Training", 2, 3, step=5, steps=10, loss=0.25, eta_s=61.0)
 
@@ -129,3 +132,12 @@ def test_objects_that_a_lift_does_not_show_are_reported() -> None:
     ]
     for broken in ({}, {"masks_as_judges": 3}, {"masks_as_judges": {"not_shown": 7}}):
         assert not_shown(broken) == []
+
+
+def test_an_engine_finds_a_scene_that_is_named_from_the_folder_of_the_terminal(
+    tmp_path: Path, quick_python: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_tiny_scene(tmp_path / "room", frames=3)
+    monkeypatch.chdir(tmp_path)
+    with Interrupts() as interrupts, raises_key(f"has-poses {tmp_path}"):
+        ask_engine(quick_python, interrupts, "poses", Path("room"))
