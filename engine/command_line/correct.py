@@ -154,7 +154,8 @@ def _described(edit: Edit, corrected: CorrectedResult) -> str:
     if edit.kind == "reclass" and any(edit.names) and not edit.undone:
         objects = ", ".join(str(mark.id) for mark in edit.objects)
         made = f"; now {', '.join(filter(None, edit.names))}"
-    to = edit.name or (corrected.classes[edit.class_id].name if edit.class_id in corrected.classes else "")
+    class_id = -(edit.rest or 0) if edit.kind == "assign" else edit.class_id
+    to = edit.name or (corrected.classes[class_id].name if class_id in corrected.classes else "")
     return f"{'undone: ' if edit.undone else ''}{edit.kind} {objects}{f' to {to}' if to else ''}{made}"
 
 

@@ -60,6 +60,8 @@ def test_corrections_are_kept_in_corrections_json_and_result_is_unchanged(termin
     assert "Anna's sofa" in terminal.run(LIST)
     said = terminal.run(RENAME.replace("Anna's sofa", "a, b"), id6=ids(terminal)["cabinet"])
     assert said.strip().endswith("to a, b; in Cryptomatte a b")
+    terminal.run(RENAME.replace("Anna's sofa", "c, d"), id6=ids(terminal)["cabinet"])
+    assert "to a, b\n" in terminal.run(LIST), "Cryptomatte has the later name"
 
 
 def test_a_misspelt_object_or_class_is_answered_with_the_names_there_are(terminal: Terminal) -> None:
@@ -80,7 +82,10 @@ def test_frames_that_show_other_corrections_are_baked_again(terminal: Terminal) 
 
 def test_an_object_given_a_stuff_class_becomes_plain_points_of_that_class(terminal: Terminal) -> None:
     cabinet = ids(terminal)["cabinet"]
-    terminal.run(".venv/bin/python -m engine correct lifts/demo reclass 16 cabinet", id16=cabinet, cabinet="wall")
+    said = terminal.run(
+        ".venv/bin/python -m engine correct lifts/demo reclass 16 cabinet", id16=cabinet, cabinet="wall"
+    )
+    assert said.strip().endswith("to wall")
     terminal.run(BAKE)
     shown = read_exr(held_out(terminal))
     assert cabinet not in shown.instance and CABINET_ID not in shown.semantic
