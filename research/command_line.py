@@ -10,11 +10,12 @@ import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from engine.command_line.main import Parser
 from engine.command_line.main import main as run_command
 from engine.command_line.main import make_parser as parser_of_the_engine
 from engine.errors import PlgsError
 from engine.job import ExitCode
-from engine.job.request import Parser, add_amount_options, add_options, add_set_option, preset_or_file
+from engine.job.request import add_amount_options, add_options, add_set_option, preset_or_file
 from engine.job.terminal import Interrupted, Interrupts
 from engine.presets.options import parsed_options, with_options
 from engine.presets.preset import PRESETS

@@ -43,6 +43,9 @@ def lift(options: argparse.Namespace) -> int:
 
     if options.relink is not None:
         _opened(options.scene, options.relink)
+    if os.path.exists(options.scene) and not (options.scene / "request.json").exists():
+        what, fix = "is not a lift folder (it has no request.json)", "To lift a scene, name a new folder with -o."
+        raise PlgsError("not-lift-folder", what, options.scene.absolute(), fix, option="-o")
     given = given_lift_options(options)
     if given:
         fix = "Leave them out, or lift a scene into a new folder with -o."

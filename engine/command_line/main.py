@@ -8,9 +8,10 @@ import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from .. import __version__
-from ..errors import PlgsError
+from ..errors import PlgsError, did_you_mean
 from ..gates import printable
 from ..job import CHANNELS, FURTHER_LAYERS, EventWriter, ExitCode, StopSignal, request
 from ..job.handshake import ADDED, ALSO_ADDED, CAPABILITIES
@@ -32,8 +33,19 @@ EXPORTS = (
 )  # fmt: skip
 
 
+class Parser(request.Parser):
+    """A parser whose commands refuse unknown options themselves, as they know their own and their own --help."""
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
+        found, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            near = did_you_mean(unknown[0].partition("=")[0], self._option_string_actions)
+            self.error(f"unrecognized arguments: {' '.join(unknown)}. {near}".rstrip())
+        return found, unknown
+
+
 def make_parser() -> argparse.ArgumentParser:
-    parser = request.Parser(
+    parser = Parser(
         prog="python -m engine", description="Panoptic lifting with structured 3D Gaussians, without Blender."
     )
     parser.add_argument("--version", action="version", version=__version__)

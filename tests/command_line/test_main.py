@@ -65,6 +65,11 @@ def test_wrong_command_line_arguments_are_refused(capsys: pytest.CaptureFixture[
         assert code_of(*arguments) == 2
         told = capsys.readouterr().err
         assert told.startswith("error: ") and told.endswith("--help' lists all options.\n") and told.count("\n") == 1
+    assert code_of("lift", tmp_path, "-o", tmp_path / "out", "--prest=draft") == 2
+    assert "--prest=draft. Did you mean --preset? 'python -m engine lift --help'" in capsys.readouterr().err
+    assert code_of("lift", tmp_path, "--preset", "draft") == 2
+    told = capsys.readouterr().err
+    assert f"{tmp_path} is not a lift folder" in told and "name a new folder with -o" in told
 
 
 @pytest.mark.parametrize("text", ["-5", "0", "5-2", "1e3", "many", "9" * 5000])

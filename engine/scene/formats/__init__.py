@@ -102,5 +102,5 @@ def _unknown(place: Path, known: Iterable[str]) -> PlgsError:
             f"Polycam, Stray Scanner), or {LET_COLMAP}."
         )
         return PlgsError("no-poses", what, place, fix, code=ErrorCode.NO_POSES)
-    fix = f"{CONVERT} Or name a layout to see what it lacks: --format {',  '.join(known)}."
+    fix = f"{CONVERT} Or name a layout to see what it lacks: --format {', '.join(known)}."
     return PlgsError("no-format", what, place, fix, option="--format")
