@@ -111,6 +111,8 @@ def _do(command: Command, events: EventWriter, stop: StopSignal, terminal: TextI
         command.work(events, stop)
         return ExitCode.FINISHED
     except Cancelled as error:
+        if isinstance(events, ShownWarnings):
+            events.end_line()
         print(f"Stopped: {error}. {command.when_stopped}".strip(), file=terminal)
         return stop.exit_code
     except BrokenPipeError:  # `main` ends quietly, as no one reads the output
@@ -232,15 +234,22 @@ class ShownEvents(EventWriter):
 
 
 class ShownWarnings(EventWriter):
-    """Writes events to a file, for a command that no other process follows, and shows warnings on ``stream``."""
+    """Writes events to a file, for a command that no other process follows, and shows warnings on ``stream`` and, if
+    that is a terminal, progress. (A farm's or a nohup's log would grow by a line every few seconds.)"""
 
     def __init__(self, path: Path, echo: int | None, stream: TextIO) -> None:
         super().__init__(path, echo)
-        self._stream = stream
+        self._shown = ShownEvents(stream, as_json=False)
+        self._is_shown = {"warning", "error", "done", *(("stage", "progress") if stream.isatty() else ())}
 
-    def warning(self, message: str) -> None:
-        super().warning(message)
-        print(f"warning: {printable(message)}", file=self._stream)
+    def _write(self, event: str, /, **data: Any) -> None:
+        super()._write(event, **data)
+        if event in self._is_shown:
+            self._shown._write(event, **data)
+
+    def end_line(self) -> None:
+        """End the live line, so that further output begins on a new one."""
+        self._shown.close()
 
 
 @contextmanager

@@ -262,3 +262,20 @@ def test_resume_makes_a_corrupt_result_again(tmp_path: Path) -> None:
     assert run_engine(folder, resume=True, lift=tiny_lift) is ExitCode.FINISHED
     assert folder.is_whole() and kept.exists()
     assert not later.exists(), "it is not listed as it is, but baked again when it is asked for"
+
+
+@pytest.mark.parametrize("is_terminal", [True, False])
+def test_only_a_terminal_shows_the_progress_of_work_in_this_process(tmp_path: Path, is_terminal: bool) -> None:
+    def work(events: EventWriter, stop: StopSignal) -> None:
+        events.stage("train", 1, 2, "Training")
+        events.progress("train", 3, 500)
+        events.warning("dark")
+        stop.ask("enough")
+        stop.check()
+
+    terminal = io.StringIO()
+    terminal.isatty = lambda: is_terminal  # type: ignore[method-assign]
+    run_at(Command("lift", work, when_stopped="Go on."), TaskFiles.at(tmp_path / "events.jsonl"), terminal)
+    told = terminal.getvalue().replace("\r", "\n").splitlines()
+    assert ("[1/2] Training  3/500" in {line.strip() for line in told}) == is_terminal
+    assert "warning: dark" in told and any(line.startswith("Stopped: enough") for line in told)
