@@ -91,6 +91,8 @@ def _unknown(place: Path, known: Iterable[str]) -> PlgsError:
         fix = f"Name one of them, such as {inner[0]}, or lift all: python -m engine batch {place}/* -o OUT."
         what = f"this folder itself is not a scene, but holds {listed([each.name for each in inner])}"
         return PlgsError("inner-scenes", what, place, fix)
+    if (place / "request.json").is_file():
+        return PlgsError("lift-as-scene", "this is a lift, not a scene", place, "Name the scene that was lifted.")
     has_photos = place.is_dir() and photos_in(place) is not None
     has_depth, has_poses = (any(word in each.name.lower() for each in entries) for word in ("depth", "pose"))
     if has_poses and (has_photos or has_depth):

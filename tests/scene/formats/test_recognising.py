@@ -68,6 +68,11 @@ def test_a_folder_of_several_scenes_is_refused_with_their_names(tmp_path: Path) 
     refuses("inner-scenes room_2", tmp_path)
 
 
+def test_a_lift_named_as_a_scene_is_told_to_be_one(tmp_path: Path) -> None:
+    (tmp_path / "request.json").write_text("{}")
+    refuses("lift-as-scene", tmp_path)
+
+
 @pytest.mark.parametrize(("name", "told"), [("scan.zip", "archive"), ("Scaniverse.ply", "models-only")])
 def test_a_file_that_is_no_scene_is_refused(tmp_path: Path, name: str, told: str) -> None:
     (tmp_path / name).write_bytes(b"")
