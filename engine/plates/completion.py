@@ -33,6 +33,8 @@ DEEP = 0.25
 """Share of light that other things block, from which on a shadow says nothing about the light beside it."""
 FAINTER = 1 / 4
 """How much less a blur counts than one half as wide (1/64: the ring around the chair is 0.7 dB worse)."""
+FADED = 0.2
+"""Metres around a hole over which what photos saw gives way to the guess, as far as it is in sharp shadows."""
 EXTREME = 1
 """Per cent of what photos saw that is darker or brighter than anything that is guessed: light that is continued over a
 large hole could become anything (the television's hole: 1.7 dB)."""
@@ -79,7 +81,8 @@ def complete(texture: Texture, leaving: Leaving, staying: NDArray[np.floating]) 
     brighter = good & (np.abs(change).max(axis=-1) > LEAST_CHANGE)
     colour = np.where(brighter[..., None], np.exp(level + bands + change) - DARK, texture.colour)
     guess = np.exp((light.expected + rest + bands).clip(*limits)) - DARK
-    colour = np.where(hole[..., None], guess, colour).clip(0, 1).astype(np.float32)
+    faded = np.maximum(hole[..., None], sharp * np.clip(1 - _metres(hole, t) / FADED, 0, 1)[..., None])
+    colour = (faded * guess + (1 - faded) * colour).clip(0, 1).astype(np.float32)
     fill = hole | brighter | (good & texture.poorly) | (good & (_metres(hole, t) < RIM) if hole.any() else False)
     return Completed(colour, label, fill, hole) if fill.any() else None
 
