@@ -48,7 +48,7 @@ ENGINE_MAY_IMPORT = {
             "errors json_file presets job posed result_files corrections scene scene_of_lift machine raster "
             "semantics instances metrics model train passes diagnosis"
         ),
-        "plates": ("errors job machine corrections scene scene_of_lift model passes lift"),
+        "plates": "errors job posed machine corrections scene scene_of_lift model passes lift",
         "diagnosis": "errors job posed scene",
         "export": "gates errors job posed result_files corrections scene scene_of_lift passes lift",
         "frames": "errors scene_source job known_scene scene",

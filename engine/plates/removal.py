@@ -26,7 +26,8 @@ from ..lift.kept_corrections import BakerOf, removals
 from ..lift.scene_files import MODEL
 from ..machine.code_digest import code_digest
 from ..model.settling import gaussian_centres
-from ..scene_of_lift import scene_of_lift
+from ..posed.layout import listed
+from ..scene_of_lift import names_of_frames, scene_of_lift
 from .completion import complete
 from .fill import cleared_cells, gaussians_of, joined, replaced_gaussians
 from .leaving import leaving_gaussians, leaving_points, other_points, with_legs
@@ -102,7 +103,7 @@ def _removal(
         read_fill(path)
         digest = sha256(path.read_bytes()).hexdigest()
     except PlgsError:  # there is none, or a damaged one
-        fill, views = fill_of(folder, result, edits, ids, baker_of=baker_of, progress=progress)
+        fill, views = fill_of(folder, result, edits, ids, baker_of=baker_of, progress=progress, tell=tell)
         digest = write_fill(path, fill)
         _drop_unused(folder.path)
     edit = making.remove(state, ids, name, digest)
@@ -143,7 +144,7 @@ def make_fills(folder: LiftFolder, edits: Sequence[Edit], baker_of: BakerOf, pro
 
 def fill_of(
     folder: LiftFolder, result: MadeResult, edits: Sequence[Edit], ids: Sequence[int], *,
-    baker_of: BakerOf, progress: Progress,
+    baker_of: BakerOf, progress: Progress, tell: Tell = untold,
 ) -> tuple[Fill, list[PlateView]]:  # fmt: skip
     """Return what replaces objects ``ids`` of a ``result`` after ``edits``, and the photos around them. Raises
     PlgsError for unreadable photos, and what ``progress`` raises."""
@@ -155,6 +156,8 @@ def fill_of(
         what = "no point of the lift belongs to these objects"
         raise PlgsError("remove-no-points", what, folder.path, "Delete them instead.")
     room, scene = _Room(baker, corrected, ids), scene_of_lift(folder)
+    if lost := {*names_of_frames(folder)} - {frame.name for frame in scene.frames}:
+        tell(f"the scene no longer has frame {listed(sorted(lost))}: what only it showed is guessed")
     frames = frames_around(scene.train_frames, np.concatenate([*points.values()]))
     away, as_in_photos = corrected.removed, baker
     if away:  # the photos still show these, which no label says once they are removed

@@ -404,6 +404,14 @@ def test_no_export_contains_a_removed_object(removed: Terminal, form: str) -> No
         assert shows_the_chair(removed.folder / f"{lift}-{form}", form) == is_shown
 
 
+def test_a_removal_tells_which_photos_are_gone(terminal: Terminal) -> None:
+    terminal.run(".venv/bin/python -m engine find-scene lifts/demo scans/room")
+    for file in (terminal.folder / "scans/room").glob("*/0001.*"):
+        file.unlink()
+    said = terminal.run(REMOVE, id7=chair(terminal))
+    assert "warning: the scene no longer has frame 0001: what only it showed is guessed" in said
+
+
 def test_evaluate_warns_that_the_ground_truth_shows_a_removed_object(removed: Terminal) -> None:
     said = removed.run(".venv/bin/python -m engine evaluate lifts/demo --classes")
     assert re.search(r"the ground truth still shows what was removed: chair 1", said)
