@@ -13,14 +13,14 @@ from ..raster.cuda import what_fails, what_is_missing
 
 def usable_device(device: str, stages: StageReporter) -> str:
     """Return the device for a lift: "cuda" if ``device`` asks for it and it works, otherwise "cpu". "auto" also gives
-    "cpu", since no version of ours has run on a GPU yet; the stage "check" says so. For "cuda" that stage draws a test
+    "cpu", since no version of ours has run on a GPU yet; a warning says so. For "cuda" the stage "check" draws a test
     picture. gsplat may compile its code for it; *Cancel* then ends the process, and the next try starts over. Raises
     PlgsError if a requested "cuda" does not work."""
     if device == "auto":
         found = torch.cuda.is_available()
         why = "--device cuda is experimental, never run by us on a GPU" if found else "torch finds no CUDA device here"
-        with stages.stage("check", f"Lifting on the CPU: {why}"):
-            return "cpu"
+        stages.events.warning(f"this lift runs on the CPU: {why}")
+        return "cpu"
     if device == "cuda":
         _refuse_missing("--device cuda", stages)
     return device

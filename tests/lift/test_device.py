@@ -87,8 +87,8 @@ def test_device_auto_chooses_the_cpu_and_says_why(
     if found:
         assert usable_device("cuda", stages) == "cuda"
     assert usable_device("auto", stages) == "cpu"
-    told = [event.data["label"] for event in last_run(tmp_path / "events.jsonl") if event.kind == "stage"]
-    assert told[-1] == f"Lifting on the CPU: {why}"
+    told = [event.data["message"] for event in last_run(tmp_path / "events.jsonl") if event.kind == "warning"]
+    assert told == [f"this lift runs on the CPU: {why}"]
 
 
 def test_a_whole_lift_runs_on_a_gpu(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
