@@ -280,7 +280,7 @@ def is_blend(path: Path) -> bool:
 
 
 def build_blend(lift: LiftFolder, blend: Path) -> ExitCode:
-    """Make the .blend of a finished lift. An unexpected error is told in a line; the log has details. Raises
+    """Make the .blend of a finished lift. It tells an unexpected error in a line; details are in the log. Raises
     PlgsError."""
     lift.refuse_read_only()
     print("Building the .blend ...", file=sys.stderr, flush=True)

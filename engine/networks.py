@@ -33,8 +33,8 @@ _MOST_IN = {"config.json": 2**20, "preprocessor_config.json": 2**13}
 
 def quiet_transformers(name: str, download: bool, part: str, purpose: str) -> None:
     """Import transformers with its output switched off and, without ``download``, its access to the hub. Raises
-    PlgsError if ``name`` is no folder or model's name, or if transformers is missing; this error names the ``purpose``
-    and the engine's ``part``."""
+    PlgsError if ``name`` is neither a folder nor a model's name, and if transformers is missing. The error names the
+    ``purpose`` and the engine's ``part``."""
     model = name.partition("@")[0]
     if not Path(name).is_dir() and (model.count("/") != 1 or model.startswith((".", "/", "~"))):
         fix = "Name a folder, or a model as OWNER/NAME or OWNER/NAME@REVISION."

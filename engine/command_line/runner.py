@@ -71,7 +71,7 @@ def run_in_terminal(command: Command, *, as_json: bool = False) -> ExitCode:
 def run_at(command: Command, files: TaskFiles, terminal: TextIO) -> ExitCode:
     """Run a command with events in ``files``, which are locked; output goes to their log, some to ``terminal``."""
     at = files.events, command.echo
-    events = EventWriter(*at) if command.parent_pipe is not None else ShownWarnings(*at, terminal)
+    events = EventWriter(*at) if command.parent_pipe is not None else FiledAndShownEvents(*at, terminal)
     try:
         given = os.environ.get("OMP_NUM_THREADS", "")
         threads = int(given) if given.isdecimal() and int(given) > 0 else usable_cpus()
@@ -111,7 +111,7 @@ def _do(command: Command, events: EventWriter, stop: StopSignal, terminal: TextI
         command.work(events, stop)
         return ExitCode.FINISHED
     except Cancelled as error:
-        if isinstance(events, ShownWarnings):
+        if isinstance(events, FiledAndShownEvents):
             events.end_line()
         print(f"Stopped: {error}. {command.when_stopped}".strip(), file=terminal)
         return stop.exit_code
@@ -233,7 +233,7 @@ class ShownEvents(EventWriter):
             self._line.end()
 
 
-class ShownWarnings(EventWriter):
+class FiledAndShownEvents(EventWriter):
     """Writes events to a file, for a command that no other process follows, and shows warnings on ``stream`` and, if
     that is a terminal, progress. (A farm's or a nohup's log would grow by a line every few seconds.)"""
 

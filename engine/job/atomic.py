@@ -88,7 +88,7 @@ class ListedFile:
 
     @classmethod
     def of(cls, path: Path, folder: Path) -> ListedFile:
-        """Describe the file ``path`` as it is now. The description's path is relative to ``folder``. Raises OSError."""
+        """Describe the file ``path`` of the ``folder`` as it is now: name, size and digest. Raises OSError."""
         return cls(PurePosixPath(path.relative_to(folder)), path.stat().st_size, sha256(path))
 
 

@@ -82,7 +82,7 @@ class LiftFolder:
 
     @classmethod
     def open(cls, path: Path) -> LiftFolder:
-        """Open a lift folder. Raises PlgsError if it is no lift, has links for files, or an unreadable request."""
+        """Open a lift folder. Raises PlgsError if it is none, if a file is a link, or if its request is unreadable."""
         path = path.absolute()
         refuse_unwritable_name(path)
         try:

@@ -34,7 +34,7 @@ DEEP = 0.25
 FAINTER = 1 / 4
 """How much less a blur counts than one half as wide (1/64: the ring around the chair is 0.7 dB worse)."""
 FADED = 0.2
-"""Metres around a hole over which what photos saw gives way to the guess, as far as it is in sharp shadows."""
+"""Metres around a hole. In sharp shadows, what photos saw fades into the guess over them."""
 EXTREME = 1
 """Per cent of what photos saw that is darker or brighter than anything that is guessed: light that is continued over a
 large hole could become anything (the television's hole: 1.7 dB)."""

@@ -39,14 +39,16 @@ def hanging_objects(before: CorrectedResult, after: CorrectedResult, ids: Collec
     """Return the ids of objects that stood on the removed objects ``ids`` alone, by the lift's points ``before`` the
     removal and ``after`` it."""
     removed = before.points.xyz[np.isin(before.points.instance_id, sorted(ids))]
+    below = cKDTree(removed)
     xyz, instance = after.points.xyz, after.points.instance_id
     near = ((xyz > removed.min(axis=0) - HELD) & (xyz < removed.max(axis=0) + HELD)).all(axis=1)
     found = []
     for one in np.unique(instance[near & (instance > 0)]).tolist():
         own = xyz[instance == one]
         feet = own[own[:, 2] < np.percentile(own[:, 2], 2) + LOWEST]
-        carriers = (removed, xyz[instance != one])
-        stood, stands = (np.isfinite(cKDTree(each).query(feet, distance_upper_bound=HELD)[0]) for each in carriers)
+        beside = ((xyz > feet.min(axis=0) - HELD) & (xyz < feet.max(axis=0) + HELD)).all(axis=1) & (instance != one)
+        carriers = (below, cKDTree(xyz[beside]))
+        stood, stands = (np.isfinite(each.query(feet, distance_upper_bound=HELD)[0]) for each in carriers)
         if (stood & ~stands).mean() > 0.5:
             found.append(one)
     return found

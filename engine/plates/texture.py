@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
@@ -136,13 +135,14 @@ def _behind(plane: Plane, view: PlateView) -> NDArray[np.float64]:
 
 def _flat_things(plane: Plane, views: Sequence[PlateView]) -> set[int]:
     """Return the ids of things that stay and lie flat on the plane."""
-    on, all_of = Counter[int](), Counter[int]()
+    ids = 1 + max([0, *(int(view.label.max()) for view in views)])
+    low, seen = np.zeros((2, ids), np.int64)
     for view in views:
         of_thing = (view.label > 0) & (view.depth > 0) & ~view.beside
-        height = plane.local(view.camera.unproject(view.depth)[of_thing])[:, 2]
-        all_of.update(view.label[of_thing].tolist())
-        on.update(view.label[of_thing][np.abs(height) < LOW].tolist())
-    return {one for one in on if on[one] > FLAT_THING * all_of[one]}
+        own, height = view.label[of_thing], plane.local(view.camera.unproject(view.depth)[of_thing])[:, 2]
+        low += np.bincount(own[np.abs(height) < LOW], minlength=ids)
+        seen += np.bincount(own, minlength=ids)
+    return {*np.flatnonzero(low > FLAT_THING * seen).tolist()}
 
 
 class _Sums:
